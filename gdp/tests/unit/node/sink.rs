@@ -1,6 +1,5 @@
 //! Unit tests of `node::sink`.
 
-use std::future::poll_fn;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -9,41 +8,31 @@ use gdp_wire::Name;
 
 use super::*;
 
-const MESSAGES: u64 = 20_000;
-
-/// One message in seven goes through the queue, and those that come before it is processed.
-#[tokio::test(flavor = "multi_thread")]
-async fn the_sink_overtakes_nothing_that_is_queued() {
-    let (direct, seen) = (Arc::<DirectPath>::default(), Arc::<Mutex<Vec<u64>>>::default());
-    let (sender, mut queue) = mpsc::channel(4);
+#[tokio::test]
+async fn the_sink_overtakes_nothing_that_is_queued_or_in_progress() {
+    let (direct, (sender, mut queue)) = (DirectPath::default(), mpsc::channel(4));
+    let seen = Arc::<Mutex<Vec<u64>>>::default();
     let by_sink = seen.clone();
-    direct.set(Some(Box::new(move |message| match message.sequence % 7 {
-        0 => Some(message),
-        _ => {
-            by_sink.lock().push(message.sequence);
+    direct.set(Some(Box::new(move |message| match message.sequence {
+        2 => Some(message),
+        sequence => {
+            by_sink.lock().push(sequence);
             None
         }
     })));
-    let receiving = std::thread::spawn({
-        let direct = direct.clone();
-        move || {
-            for sequence in 0..MESSAGES {
-                if let Some(message) = direct.pass(message(sequence), &sender) {
-                    sender.blocking_send(message).unwrap();
-                }
-            }
-        }
-    });
-    let mut queued = 0;
-    while let Some(message) = poll_fn(|context| direct.poll_next(&mut queue, context)).await {
-        // The sink runs on another processor meanwhile, if it is asked too early.
-        std::thread::yield_now();
-        seen.lock().push(message.sequence);
-        queued += 1;
-    }
-    receiving.join().unwrap();
-    assert_eq!(*seen.lock(), (0..MESSAGES).collect::<Vec<_>>());
-    assert!(queued >= MESSAGES / 7, "{queued}");
+    let pass = |sequence| direct.pass(message(sequence), &sender).map(|refused| sender.try_send(refused).unwrap());
+    assert!(pass(1).is_some(), "the application has not waited yet");
+    assert_eq!(poll_once(&direct, &mut queue).unwrap().sequence, 1);
+    assert!(poll_once(&direct, &mut queue).is_none());
+    assert!(pass(2).is_some(), "the sink does not take it");
+    assert!(pass(3).is_some(), "another is queued");
+    assert_eq!(poll_once(&direct, &mut queue).unwrap().sequence, 2);
+    assert_eq!(poll_once(&direct, &mut queue).unwrap().sequence, 3);
+    assert!(pass(4).is_some(), "the application has not processed the last one");
+    assert_eq!(poll_once(&direct, &mut queue).unwrap().sequence, 4);
+    assert!(poll_once(&direct, &mut queue).is_none());
+    assert!(pass(5).is_none() && pass(6).is_none());
+    assert_eq!(*seen.lock(), [5, 6]);
 }
 
 #[tokio::test]
