@@ -295,16 +295,17 @@ impl Header {
         self.tag = tag.to_be();
     }
 
-    /// Returns the hop tag of this header under a key of its link, for the whole count of the frame.
+    /// Returns the hop tag of this header under a key of its link, for the whole count of the
+    /// frame.
     #[inline(always)]
     pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
         siphash24(key, &self.tagged_words(count))
     }
 
-    /// Returns the little-endian words that the hop tag covers: the header up to the source, without
-    /// the tag, and the high 32 bits of the link's count. Those bits are not in the header. They are
-    /// XORed onto the link id, which is constant under a key. `docs/security.md` states who checks
-    /// the source.
+    /// Returns the little-endian words that the hop tag covers: the header up to the source,
+    /// without the tag, and the high 32 bits of the link's count. Those bits are not in the header.
+    /// They are XORed onto the link id, which is constant under a key. `docs/security.md` states
+    /// who checks the source.
     #[inline(always)]
     pub fn tagged_words(&self, count: u64) -> [u64; Self::TAGGED_WORDS] {
         let link = self.word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());

@@ -127,8 +127,8 @@ pub fn next<E: Entry>(
 }
 
 /// Returns the time as the serial, or the next serial above all issued or revoked ones if the clock
-/// was set back a little. Nobody accepts a serial that is further ahead of the clock, so certificates
-/// that a faulty clock dated so are passed over. A floor cannot be.
+/// was set back a little. Nobody accepts a serial that is further ahead of the clock, so
+/// certificates that a faulty clock dated so are passed over. A floor cannot be.
 pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
     let now = serial_now();
     let last = last_serial(now / 1_000_000_000);

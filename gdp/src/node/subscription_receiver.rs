@@ -189,8 +189,8 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion. The mark
-    /// counts if the frame turns out to be of the writer's session.
+    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion. The
+    /// mark counts if the frame turns out to be of the writer's session.
     pub fn push(
         &mut self,
         now: Timestamps,

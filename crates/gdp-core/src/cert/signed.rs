@@ -47,8 +47,8 @@ impl<T> Signed<T> {
 }
 
 impl<T: Claims> Signed<T> {
-    /// Verifies the signature by `key`, and validity and serial at `now` (Unix seconds). Returns the
-    /// claims.
+    /// Verifies the signature by `key`, and validity and serial at `now` (Unix seconds). Returns
+    /// the claims.
     pub fn verify(&self, key: &VerifyKey, now: u64) -> Result<T, CertError> {
         let claims = self.verify_signature(key)?;
         claims.check_time(now)?;

@@ -89,8 +89,8 @@ fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Res
         tables.is_permitted(&Permit { name: header.source, link: ingress.id, part: Permit::SOURCE })
     };
     if !may_be_source {
-        // No error, because the hop tag does not cover the source: an honest neighbour would be told
-        // what somebody else has done.
+        // No error, because the hop tag does not cover the source: an honest neighbour would be
+        // told what somebody else has done.
         return Err(Counter::Source.into());
     }
     let entry = tables.route(&header.destination).ok_or(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute))?;
