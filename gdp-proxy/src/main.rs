@@ -81,10 +81,10 @@ fn run(arguments: Arguments) -> Result<()> {
     if let Err(error) = descriptors::raise_limit() {
         tracing::warn!(%error, "the limit on open files stays as it was");
     }
-    // The threads of DDS and of the node do most of the work, and large messages move the tasks to
-    // another thread (`offload`). A second worker would be woken for most messages, in vain.
+    // The threads of DDS and of the node do half of the work.
+    let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
     let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
+        .worker_threads(workers)
         .enable_all()
         .build()
         .context("cannot start the runtime")?;
