@@ -4,20 +4,13 @@
 use super::DropReason;
 use super::assembly::{Assembled, Assembly};
 use super::message::{Message, Preamble};
+use super::signed_parts::{SignedParts, check_age, unsigned};
 use super::source::WriterState;
 use super::wire::{self, Kind, Proof, SegmentHeader};
 use crate::seal::event::{Lost, Push, ReaderContext};
 use bytes::Bytes;
 use gdp_core::crypto::CryptoError;
 use std::borrow::Cow;
-
-/// What a signature covers besides the header, and the proof of it.
-pub struct SignedParts<'a> {
-    pub commitment: [u8; 32],
-    /// Digests of the segments' plaintexts.
-    pub digests: &'a [[u8; 32]],
-    pub proof: Proof<'a>,
-}
 
 impl WriterState {
     pub(super) fn deliver_if_complete(
@@ -140,13 +133,4 @@ fn lose(push: &mut Push<'_>, header: &SegmentHeader, result: Result<(), DropReas
         push.out.lost.extend(lost.map(|sequence| Lost { session: header.session, sequence, again }));
     }
     result
-}
-
-pub(super) fn unsigned(error: CryptoError) -> DropReason {
-    if error == CryptoError::HighS { DropReason::HighS } else { DropReason::BadSignature }
-}
-
-pub(super) fn check_age(push: &Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {
-    let age = u128::from(push.now.unix_ns.saturating_sub(timestamp_ns));
-    if age > push.shared.limits.max_age.as_nanos() { Err(DropReason::TooOld) } else { Ok(()) }
 }

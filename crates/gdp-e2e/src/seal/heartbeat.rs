@@ -1,6 +1,6 @@
 //! Heartbeats: a writer's signed statement about the progress of its session. Only encoding.
 
-use super::wire::{HEARTBEAT_CUT, Kind, SegmentHeader};
+use super::wire::{HEARTBEAT_CLAIMS, HEARTBEAT_CUT, HEARTBEAT_LEN, Kind, SegmentHeader};
 use gdp_core::crypto::{SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
 
@@ -23,9 +23,6 @@ impl SegmentHeader {
     }
 }
 
-/// Plaintext bytes of a heartbeat.
-pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
-const HEARTBEAT_CLAIMS: usize = 16;
 const HEARTBEAT_STATEMENT: usize = HEARTBEAT_CONTEXT.len() + 64 + 28 + HEARTBEAT_CLAIMS;
 
 /// The contents of a heartbeat in addition to its header.

@@ -10,7 +10,7 @@ pub const TIMESTAMP_LEN: usize = 8;
 /// Timestamp, encoding and length of extensions.
 pub const MESSAGE_HEADER_LEN: usize = TIMESTAMP_LEN + 4;
 /// Encoding, length of extensions and length of the body. The bundle has the timestamp.
-const BUNDLED_HEADER_LEN: usize = 6;
+pub const BUNDLED_HEADER_LEN: usize = 6;
 /// The longest origin, in bytes.
 pub const MAX_ORIGIN: usize = 64;
 
@@ -185,8 +185,7 @@ impl Preamble {
     pub fn parse_bundle(plaintext: &[u8], count: u32) -> Result<Vec<Self>, DropReason> {
         let timestamp = plaintext.first_chunk().ok_or(DropReason::BadMessage)?;
         let (timestamp_ns, mut at) = (u64::from_be_bytes(*timestamp), TIMESTAMP_LEN);
-        // A bundle has room for no more, whatever its header says.
-        let mut messages = Vec::with_capacity((plaintext.len() / BUNDLED_HEADER_LEN).min(count as usize));
+        let mut messages = Vec::with_capacity(count as usize);
         while let Some(&[e0, e1, x0, x1, b0, b1]) = plaintext[at..].first_chunk::<BUNDLED_HEADER_LEN>() {
             let (extensions, body) = (u16::from_be_bytes([x0, x1]).into(), u16::from_be_bytes([b0, b1]).into());
             let encoding = u16::from_be_bytes([e0, e1]).into();

@@ -16,9 +16,11 @@ mod merkle;
 mod message;
 mod plan;
 mod reader;
+mod seal_error;
 mod segment;
 mod segments;
 mod session;
+mod signed_parts;
 mod source;
 mod used_cuts;
 mod window;
@@ -29,12 +31,13 @@ pub use crate::seal::event::{Heartbeat, Lost, ReaderLimits, Received, Timestamps
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
 pub use reader::Reader;
+pub use seal_error::SealError;
 pub use segment::{SegmentId, segment_ids};
 pub use segments::Segments;
 pub use window::ReplayWindow;
 pub use wire::VERSION as SEGMENT_VERSION;
 pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
-pub use writer::{MAX_SEGMENTS, SealError, Writer};
+pub use writer::{MAX_SEGMENTS, Writer};
 
 #[cfg(test)]
 #[path = "../../tests/unit/seal/equivocation.rs"]

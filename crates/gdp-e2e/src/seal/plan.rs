@@ -3,8 +3,8 @@
 
 use super::merkle;
 use super::message::{Draft, MAX_ORIGIN, TIMESTAMP_LEN};
+use super::seal_error::SealError;
 use super::wire::{self, OVERHEAD, proof_len};
-use super::writer::SealError;
 
 /// What one leaf of the signed tree covers: a message, or the messages of a bundle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

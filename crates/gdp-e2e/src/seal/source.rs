@@ -3,11 +3,11 @@
 
 use super::DropReason;
 use super::assembly::Assembly;
-use super::delivery::{SignedParts, check_age, unsigned};
 use super::heartbeat::HeartbeatBody;
 use super::merkle::SignedTree;
 use super::segment::Segment;
 use super::session::{SegmentPosition, Session};
+use super::signed_parts::{SignedParts, check_age, unsigned};
 use super::wire::{Kind, Proof, SegmentHeader};
 use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext};
 use gdp_core::crypto::Verifier;

@@ -2,7 +2,7 @@
 //! that bind them. Only encoding and bounds; the module has no state. All integers are big-endian.
 
 use super::DropReason;
-use super::heartbeat::HEARTBEAT_LEN;
+use super::message::{BUNDLED_HEADER_LEN, TIMESTAMP_LEN};
 use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
 
@@ -26,6 +26,10 @@ pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 pub const MAX_CUT: u16 = u16::MAX - 1;
 /// The cut of all heartbeats, so that their nonces differ from those of messages.
 pub const HEARTBEAT_CUT: u16 = u16::MAX;
+
+/// Plaintext bytes of a heartbeat before its signature, and in all.
+pub const HEARTBEAT_CLAIMS: usize = 16;
+pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
 
 pub const MAX_DEPTH: usize = 16;
 /// Maximum number of messages under one signature.
@@ -135,8 +139,10 @@ impl SegmentHeader {
                 of_message && behind == self.count && (proof_len(0)..=size + proof_len(MAX_DEPTH)).contains(&len)
             }
             Kind::Bundle => {
-                let last = self.sequence.checked_add(u64::from(self.count))? - 1;
-                let is_bundle = of_message && self.count > 1 && last <= MAX_SEQUENCE;
+                let behind = self.sequence.checked_add(self.count.into())?;
+                // What follows from the count must not cost more than the segment itself.
+                let has_room = self.count as usize <= size.saturating_sub(TIMESTAMP_LEN) / BUNDLED_HEADER_LEN;
+                let is_bundle = of_message && self.count > 1 && has_room && behind <= MAX_SEQUENCE + 1;
                 is_bundle && self.index == 0 && is_proof_len(len.checked_sub(size)?)
             }
             Kind::Heartbeat => {

@@ -3,15 +3,16 @@
 
 use super::heartbeat::HeartbeatBody;
 use super::merkle::{self, Tree};
-use super::message::{Draft, Encoding, MAX_ORIGIN, Preamble};
+use super::message::{Draft, Encoding, Preamble};
 use super::plan::{Unit, plan};
+use super::seal_error::SealError;
 use super::segment::Segment;
 use super::segments::Segments;
 use super::used_cuts::UsedCuts;
 use super::wire::{self, Kind, OVERHEAD, Proof, SegmentHeader};
 use super::{DropReason, MAX_BATCH};
 use gdp_core::crypto;
-use gdp_core::crypto::{Backend, CryptoError, Signer, TAG_LEN};
+use gdp_core::crypto::{Backend, Signer, TAG_LEN};
 use gdp_core::identity::SigningKey;
 use gdp_core::keys::{EpochKey, SessionKey};
 use gdp_core::name::Name;
@@ -23,30 +24,6 @@ const EPOCHS_KEPT: usize = 15;
 
 /// Maximum number of segments under the key of a session and an epoch.
 pub const MAX_SEGMENTS: u64 = 1 << 32;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SealError {
-    #[error("frame payloads of {max_payload} bytes are too small: {need} are needed; raise the link's MTU")]
-    PayloadTooSmall { max_payload: usize, need: usize },
-    #[error("a message of {len} bytes needs more than 2^32 segments of {size} bytes")]
-    MessageTooLarge { len: usize, size: usize },
-    #[error("a batch of {0} messages where at most {MAX_BATCH} may share a signature")]
-    BatchTooLarge(usize),
-    #[error("an origin of {0} bytes where at most {MAX_ORIGIN} are allowed")]
-    OriginTooLong(usize),
-    #[error("this session has used all its sequence numbers; start a new one")]
-    SequenceExhausted,
-    #[error("there is no key to seal with yet; set that of an epoch")]
-    NoEpoch,
-    #[error("epoch {epoch} does not follow epoch {current}; the numbers of epochs only rise")]
-    EpochGoesBack { epoch: u32, current: u32 },
-    #[error("the key of epoch {0} has sealed as much as it may; begin another epoch")]
-    EpochExhausted(u32),
-    #[error("message {sequence} cannot be sealed under cut {cut}: {why}")]
-    Cut { sequence: u64, cut: u16, why: &'static str },
-    #[error(transparent)]
-    Crypto(#[from] CryptoError),
-}
 
 /// One session of one writer of a name. Every `Writer` is a new session with a random identifier of
 /// 128 bits. A restarted or second writer therefore never repeats a nonce under the same key. The

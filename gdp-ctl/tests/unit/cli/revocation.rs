@@ -62,7 +62,7 @@ fn serials_of_the_far_future_are_passed_over_and_revoked_with_all_others() {
 
     let issued = [Item { serial: 99, ends: NOW }, Item { serial: 500, ends: NOW }];
     assert_eq!(revoke(None, &issued, &[], Some(100)).unwrap().revoked, [500]);
-    assert_eq!(revoke(None, &issued, &[], None).unwrap().revoked, []);
+    assert!(revoke(None, &issued, &[], None).unwrap().revoked.is_empty());
 }
 
 #[derive(Serialize, Deserialize)]

@@ -167,7 +167,7 @@ fn ghash(key: u128, clear: &[u8; HEADER_LEN], ciphertext: &[u8]) -> u128 {
         block[..bytes.len()].copy_from_slice(bytes);
         u128::from_be_bytes(block)
     };
-    let lengths = (clear.len() as u128 * 8) << 64 | ciphertext.len() as u128 * 8;
+    let lengths = ((clear.len() as u128 * 8) << 64) | (ciphertext.len() as u128 * 8);
     let blocks = clear.chunks(BLOCK).chain(ciphertext.chunks(BLOCK)).map(block).chain([lengths]);
     blocks.fold(0, |hash, block| multiply(hash ^ block, key))
 }

@@ -34,7 +34,7 @@ fn what_is_in_front_of_the_body_round_trips() {
     let messages = Preamble::parse_bundle(&plaintext, 4).unwrap();
     assert_eq!(messages.iter().map(|message| message.draft(&plaintext)).collect::<Vec<_>>(), drafts);
     assert!(messages.iter().all(|message| message.timestamp_ns == 3));
-    for count in [0, 3, 5, u32::MAX] {
+    for count in [0, 3, 5, 10_918] {
         assert_eq!(Preamble::parse_bundle(&plaintext, count), Err(DropReason::BadMessage), "{count}");
     }
     assert!((0..plaintext.len()).all(|len| Preamble::parse_bundle(&plaintext[..len], 4).is_err()));

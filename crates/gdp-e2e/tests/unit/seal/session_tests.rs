@@ -1,8 +1,8 @@
 //! Tests beyond a single message: sessions and their confirmation, epochs, new cuts, heartbeats.
 
-use super::heartbeat::{HEARTBEAT_LEN, HeartbeatBody};
+use super::heartbeat::HeartbeatBody;
 use super::tests::{DEADLINE, EPOCH, Fixture, at, limits, only, push_all, push_into};
-use super::wire::{HEADER_LEN, SegmentHeader};
+use super::wire::{HEADER_LEN, HEARTBEAT_LEN, SegmentHeader};
 use super::*;
 use gdp_core::identity::SigningKey;
 use gdp_core::keys::EpochKey;
