@@ -14,6 +14,7 @@ mod ids;
 mod keyed_entry;
 pub mod liveness;
 mod location;
+mod negotiation;
 mod peer_end;
 mod ratchet;
 mod rekey;

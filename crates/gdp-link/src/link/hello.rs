@@ -11,6 +11,7 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
+use super::negotiation::negotiated;
 use super::{Link, RekeySchedule, Versions, streams, tls};
 use crate::link::error::LinkError;
 use crate::link::location::{LinkLocation, PairEnd};
@@ -106,7 +107,7 @@ async fn say_and_hear(
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
-    config.versions.negotiated(&connection)?;
+    negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
     // Only a peer on this host receives the host id.
@@ -136,7 +137,7 @@ pub async fn greet_as_server(
     location: LinkLocation,
     config: &HelloConfig,
 ) -> Result<Link, LinkError> {
-    config.versions.negotiated(&connection)?;
+    negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
