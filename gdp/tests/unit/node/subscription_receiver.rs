@@ -94,7 +94,7 @@ fn nothing_is_left_of_writers_that_came_and_went() {
 #[test]
 fn a_mark_counts_for_who_sealed_the_frame_only() {
     let (queue, _messages) = mpsc::channel(4);
-    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::default(), queue, Arc::default());
+    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
     let (key, counters) = (SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Counters::default());
     let now = Timestamps { steady_ns: 1_000_000, unix_ns: 1_000_000_000 };
     let mut seals = [2, 3].map(|n| {

@@ -6,11 +6,14 @@ use std::time::Duration;
 use quinn::{ConnectionError, Endpoint};
 
 use super::*;
+use crate::link::LinkError;
 use crate::link::{HelloConfig, Link, LinkIds, LinkLocation, QuicMtu, RekeySchedule, SERVER_NAME};
 use crate::link::{configs, greet_as_client, greet_as_server};
 use crate::port::CurrentPair;
 use gdp_core::identity::Identity;
 use gdp_core::peer::Role;
+use quinn::Connection;
+use quinn::crypto::rustls::HandshakeData;
 
 const FIRST: Versions = Versions { oldest: 1, newest: 1 };
 const NEXT: Versions = Versions { oldest: 2, newest: 3 };
