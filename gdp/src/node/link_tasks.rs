@@ -31,8 +31,8 @@ const RENEWAL: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 const MAIN_ECHOES: Duration = Duration::from_millis(100);
 const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
-/// The interval on a link without data for [`RECENT`]. A failure is then noticed later, and nothing
-/// is lost by it.
+/// The interval on a link without data for [`RECENT`], while all echoes are answered. A failure is
+/// then noticed a second later.
 const IDLE_ECHOES: Duration = Duration::from_secs(1);
 const RECENT: Duration = Duration::from_secs(10);
 
@@ -94,7 +94,7 @@ pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>
         attachment.send(Header::echo(cookie));
         send_path.set_silent(attachment.lane.into(), is_silent);
         let pause = match send_path.links.is_main(&attachment) {
-            _ if now >= busy_until && !is_silent => IDLE_ECHOES,
+            _ if now >= busy_until && !pulse.has_missed() => IDLE_ECHOES,
             true => MAIN_ECHOES,
             false => OTHER_ECHOES,
         };

@@ -439,7 +439,10 @@ fn flipped_payload_bits_are_refused_by_the_reader() -> Result<()> {
     const ALTERED: usize = 20;
     let refused = |fabric: &Fabric| Ok(all_drops(&fabric.proxy_stats("cloud")["node"]));
     let before = refused(&scene.fabric)?;
-    scene.hand_on(ALTERED, |n, frame| flip(frame, HEADER..frame.len() - ETHERNET, n, ALTERED))?;
+    scene.hand_on(ALTERED, |n, frame| {
+        let end = frame.len() - ETHERNET;
+        flip(frame, HEADER..end, n, ALTERED);
+    })?;
     scene.wait_for_count("all drops of the reader", before + ALTERED as u64, refused)?;
     scene.no_dishonest_message_arrived().map(drop)
 }
