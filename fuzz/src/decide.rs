@@ -80,7 +80,7 @@ fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, 
     assert!(is_tagged(&left, &link.tx_keys, link.tx_phase != 0), "sent with another tag");
     assert_eq!(u32::from(left[1] >> 7), link.tx_phase, "the wrong key phase");
     assert_eq!(left[32..], came[32..], "names changed");
-    if matches!(left[0], 0x10 | 0x13) {
+    if matches!(left[0], 0x20 | 0x23) {
         assert_eq!((came[0], left[2] + 1), (left[0], came[2]), "the hop limit falls by one");
         let length = usize::from(u16::from_be_bytes([came[4], came[5]]));
         assert_eq!(*rest, payload[..length], "the payload changed");
@@ -93,7 +93,7 @@ fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, 
     } else {
         assert_eq!(left[1] & ECN, 0, "an answer takes no marks");
         assert_eq!((link.id, rest.len()), (ingress.id, 0), "an answer goes to who is answered, and is short");
-        let answers_what_it_may = (left[0], came[0]) == (0x12, 0x10) || (left[0], came[0], came[3]) == (0x14, 0x14, 0);
+        let answers_what_it_may = (left[0], came[0]) == (0x22, 0x20) || (left[0], came[0], came[3]) == (0x24, 0x24, 0);
         assert!(answers_what_it_may, "type {:#x} answers type {:#x}", left[0], came[0]);
     }
     (link, left)

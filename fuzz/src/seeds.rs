@@ -3,8 +3,8 @@
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{
-    AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode,
-    ReadGrant, Reading, Revocation, RtCert, Signed, issue,
+    AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, ReadGrant,
+    Reading, Revocation, RtCert, Signed, issue,
 };
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
@@ -102,9 +102,9 @@ fn payloads() -> Seeds {
     let step = |kind: u8, bytes: &[u8]| [&[kind][..], &(bytes.len() as u16).to_be_bytes(), bytes].concat();
     let send = |what: u8, size: u8, length: usize| step(WRITER, &[&[what, size][..], &vec![what; length]].concat());
     let arrive = |which: u8| step(ARRIVE, &[which, 0]);
-    // The header of a body segment that is a whole message, in the writer's session.
-    let header = |flags: u8, plaintext: u16, index: u32, count: u32, size: u32| {
-        let mut header = vec![2, flags];
+    // A segment of zeros, in the writer's session.
+    let header = |kind: u8, plaintext: u16, index: u32, count: u32, size: u32| {
+        let mut header = vec![gdp_e2e::seal::SEGMENT_VERSION, kind];
         header.extend((plaintext + 16).to_be_bytes());
         header.extend(index.to_be_bytes());
         header.extend([0, 0, 0, 0, 0, 1, 0, 0]);
@@ -112,7 +112,8 @@ fn payloads() -> Seeds {
         [count, size, 1].iter().for_each(|word| header.extend(word.to_be_bytes()));
         [header, vec![0; plaintext.into()]].concat()
     };
-    let (body, proof) = (header(0, 20, 0, 1, 20), header(1, 68, 1, 1, 20));
+    let (body, end) = (header(0, 20, 0, 2, 20), header(1, 68, 1, 2, 20));
+    let (whole, bundle) = (header(1, 20 + 68, 0, 1, 20), header(3, 8 + 2 * 6 + 68, 0, 2, 20));
     [
         ("a message in one frame", vec![send(255, 255, 100), arrive(0)]),
         ("a batch", vec![send(7, 255, 200), arrive(0), arrive(0)]),
@@ -126,8 +127,10 @@ fn payloads() -> Seeds {
         ("too late", vec![send(255, 10, 1000), arrive(0), step(TIME, &[255, 255]), arrive(0)]),
         ("damage", vec![send(255, 255, 100), step(ARRIVE, &[0, 1, 0, 60, 4]), arrive(0)]),
         ("another session", vec![step(VOUCH, &[5; 20]), send(255, 255, 100), arrive(0)]),
-        ("a forged message", vec![step(INSIDER, &[&body[..], &proof].concat()), send(255, 255, 100), arrive(0)]),
-        ("a forged proof first", vec![step(INSIDER, &proof), step(INSIDER, &body)]),
+        ("a forged message", vec![step(INSIDER, &[&body[..], &end].concat()), send(255, 255, 100), arrive(0)]),
+        ("a forged end first", vec![step(INSIDER, &end), step(INSIDER, &body)]),
+        ("a forged small message", vec![step(INSIDER, &whole), send(255, 255, 100), arrive(0)]),
+        ("a forged bundle", vec![step(INSIDER, &bundle), send(7, 255, 200), arrive(0)]),
         ("half a large message", vec![step(INSIDER, &header(0, 20, 1, 100, 20))]),
         (
             "a forged heartbeat",
@@ -162,8 +165,8 @@ impl Credentials {
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).expect("a card");
         let (name, entity, switch) = (card.name(), robot.name(), card.name());
         let (serial, not_before, not_after) = (7, 0, 1 << 40);
-        let (mode, scope, box_key) = (Mode::Unicast, vec![name], robot.box_public());
-        let ad_cert = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+        let (scope, box_key) = (vec![name], robot.box_public());
+        let ad_cert = AdCert { name, entity, scope, serial, not_before, not_after };
         let (delegate, publish, read) = (robot.key().verify_key(), true, true);
         let delegation = Delegation { name, delegate, publish, read, serial, not_before, not_after };
         let delegation = issue(&owner, &delegation).expect("a delegation");

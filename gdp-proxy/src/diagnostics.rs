@@ -7,9 +7,9 @@ use std::time::Duration;
 use gdp_util::unix_time::unix_time;
 
 use gdp_msg::Encoding;
+use gdp_util::ticks::Ticks;
 use gdp_wire::Name;
 use serde::Serialize;
-use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::{Config, Side};
 use crate::graph::{All, Graph, GraphError, Writer};
@@ -49,7 +49,7 @@ pub struct Diagnostics {
     outlets: Vec<(Writer, Converter)>,
     /// Graphs that have no publisher yet, because their Zenoh router is not reached.
     pending: Vec<String>,
-    ticks: Interval,
+    ticks: Ticks,
     before: Before,
 }
 
@@ -91,8 +91,7 @@ struct Value {
 
 impl Diagnostics {
     async fn new(entity: Name, graphs: &All, types: &Types) -> Result<Self, DiagnosticsError> {
-        let mut ticks = tokio::time::interval(PERIOD);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let ticks = Ticks::new(PERIOD);
         let pending = graphs.keys().cloned().collect();
         let mut new = Self { entity, outlets: vec![], pending, ticks, before: HashMap::new() };
         new.open(graphs, types).await?;

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, anyhow};
 use gdp::{LinkConfig, Node, NodeConfig};
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
-use tokio::time::{Interval, MissedTickBehavior};
+use gdp_util::ticks::Ticks;
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
@@ -260,15 +260,13 @@ fn planned<R: Carries>(
 /// topics, until it has room again.
 struct StatsWriter {
     file: Option<StatsFile>,
-    ticks: Interval,
+    ticks: Ticks,
     failing: bool,
 }
 
 impl StatsWriter {
     fn new(file: Option<StatsFile>) -> Self {
-        let mut ticks = tokio::time::interval(STATS_PERIOD);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Self { file, ticks, failing: false }
+        Self { file, ticks: Ticks::new(STATS_PERIOD), failing: false }
     }
 
     /// Waits for the next period. Safe to cancel.

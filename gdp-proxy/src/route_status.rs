@@ -9,9 +9,9 @@ use gdp::{Ended, NodeError};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_util::backoff::Backoff;
 use gdp_util::line_limit::LineLimit;
+use gdp_util::ticks::Ticks;
 use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
-use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::Side;
 use crate::graph::GraphError;
@@ -222,8 +222,7 @@ pub fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
     }
 }
 
-pub fn ticks() -> Interval {
-    let mut ticks = tokio::time::interval(LOOK);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    ticks
+/// Returns the ticks of a route's periodic work.
+pub fn ticks() -> Ticks {
+    Ticks::new(LOOK)
 }

@@ -56,6 +56,7 @@ reasons! {
 #[derive(Default)]
 pub struct RouteCounters {
     messages: AtomicU64,
+    direct: AtomicU64,
     bytes: AtomicU64,
     bytes_carried: AtomicU64,
     drops: Tally<Drop>,
@@ -74,6 +75,12 @@ impl RouteCounters {
         self.bytes_carried.fetch_add(carried as u64, Relaxed);
     }
 
+    /// Counts one message that was carried unchanged, without the route's task.
+    pub fn passed_directly(&self, bytes: usize) {
+        self.direct.fetch_add(1, Relaxed);
+        self.passed(bytes, bytes);
+    }
+
     /// Counts `count` dropped messages. Returns true if they are the first for this reason, which
     /// deserves a line in the log.
     pub fn dropped(&self, reason: Drop, count: u64) -> bool {
@@ -83,6 +90,7 @@ impl RouteCounters {
     pub fn read(&self) -> Counted {
         Counted {
             messages: self.messages.load(Relaxed),
+            direct: self.direct.load(Relaxed),
             bytes: self.bytes.load(Relaxed),
             bytes_carried: self.bytes_carried.load(Relaxed),
             drops: self.drops.read(),
@@ -144,6 +152,8 @@ pub struct RouteStats {
 #[derive(Default, Serialize)]
 pub struct Counted {
     pub messages: u64,
+    /// Those among them that were carried by the receiving thread, without the route's task.
+    pub direct: u64,
     /// Bytes of the carried messages. `out`: as converted; `in`: as written.
     pub bytes: u64,
     /// Bytes of the same messages as they travel: fewer if they are compressed.

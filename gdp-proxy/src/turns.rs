@@ -5,13 +5,15 @@ use std::pin::Pin;
 use std::time::{Duration, Instant};
 
 use gdp::Node;
+use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
 use crate::peer_proxies::Candidate;
 use crate::route_status::RouteStatus;
 
-/// How often the proxy checks whether another proxy of the graph carries the route.
-const LOOK: Duration = Duration::from_millis(250);
+/// How often the proxy checks whether another proxy of the graph has gone silent, and whether the
+/// fabric is there.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// The turns in which this proxy carries a route, until `stop` completes.
 pub struct Turns<'a, S> {
@@ -65,11 +67,15 @@ pub async fn unless<T>(over: &mut (impl Future<Output = ()> + Unpin), work: impl
 /// Waits until `wanted` accepts the proxy that carries the route instead of this one, if any.
 /// Meanwhile it announces whether this proxy is attached to the fabric.
 async fn until<T>(node: &Node, candidate: &Candidate, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
+    let mut changes = candidate.changes();
     loop {
         candidate.set_attached(node.switch().is_ok());
         if let Some(found) = wanted(candidate.ahead(Instant::now())) {
             return found;
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::select! {
+            () = tokio::time::sleep_until(next_tick(LOOK, Instant::now()).into()) => {}
+            () = changes.next() => {}
+        }
     }
 }

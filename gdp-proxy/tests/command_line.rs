@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Mode, issue};
+use gdp_core::cert::{AdCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
@@ -221,8 +221,8 @@ impl Files {
         let (owner, key) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
         let card = NameCard::create(owner.verify_key(), "topic", topic, kind, None).unwrap();
         let entity = Identity::new(key.clone(), "proxy").name();
-        let (name, mode, scope, serial) = (card.name(), Mode::Unicast, vec![], 1);
-        let ad = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
+        let (name, scope, serial) = (card.name(), vec![], 1);
+        let ad = AdCert { name, entity, scope, serial, not_before: 0, not_after: u64::MAX };
         let ad = issue(&owner, &ad).unwrap();
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();

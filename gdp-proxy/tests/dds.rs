@@ -3,7 +3,7 @@
 //! 127.0.0.1, so loopback multicast is not needed.
 
 use std::collections::HashSet;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -173,6 +173,56 @@ async fn what_is_written_as_soon_as_there_is_a_writer_is_sent() {
     .await;
     here.leave().await;
     there.leave().await;
+}
+
+/// The sink leaves one message in seven to the task, which takes its time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_sink_overtakes_no_message_that_the_task_has() {
+    const MESSAGES: u32 = 400;
+    let (here, there) = (join(), join());
+    let (topic, deep) = (topic("sink"), Offer { depth: 1000, ..RELIABLE });
+    let mut writer = here.writer(&topic, &kind(), &deep).unwrap();
+    let reader = there.reader(&topic, &kind(), &deep).unwrap();
+    within("a message crosses", until_received(&mut writer, &reader)).await;
+    let seen = Arc::<Mutex<Vec<u32>>>::default();
+    let by_sink = seen.clone();
+    reader.set_sink(Some(Box::new(move |arrived| match numbered(&arrived.sample) {
+        Some(number) if number.is_multiple_of(7) => false,
+        number => {
+            by_sink.lock().unwrap().extend(number);
+            true
+        }
+    })));
+    let writing = tokio::spawn(async move {
+        for number in 1..=MESSAGES {
+            let bytes = [&[0, 1, 0, 0][..], &number.to_le_bytes()].concat();
+            writer.write(RawSample::parse(bytes.into()).unwrap(), 0).await.unwrap();
+            tokio::time::sleep(Duration::from_micros(300)).await;
+        }
+        writer
+    });
+    let mut by_task = 0;
+    within("all are read", async {
+        while seen.lock().unwrap().last() != Some(&MESSAGES) {
+            let read = tokio::time::timeout(Duration::from_millis(20), reader.recv()).await;
+            if let Ok(Some(number)) = read.map(|read| numbered(&read.unwrap().sample)) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+                seen.lock().unwrap().push(number);
+                by_task += 1;
+            }
+        }
+    })
+    .await;
+    assert_eq!(*seen.lock().unwrap(), (1..=MESSAGES).collect::<Vec<_>>());
+    assert!((MESSAGES / 7..MESSAGES).contains(&by_task), "{by_task}");
+    drop(writing.await.unwrap());
+    here.leave().await;
+    there.leave().await;
+}
+
+/// The number in a message of eight bytes.
+fn numbered(sample: &RawSample) -> Option<u32> {
+    Some(u32::from_le_bytes(sample.bytes.get(4..)?.try_into().ok()?))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use gdp::{LinkState, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, ReadGrant, issue};
 use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::config::{DomainConfig, Neighbour, NeighbourAddress, Via};
@@ -94,8 +94,8 @@ async fn pair(writer: (&Identity, &Node), reader: (&Identity, &Node)) -> (Publis
     let owner = SigningKey::generate().unwrap();
     let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
     let (name, not_before, not_after) = (card.name(), 0, tomorrow());
-    let (entity, mode, scope) = (writer.0.name(), Mode::Multicast, vec![]);
-    let ad_cert = AdCert { name, entity, mode, scope, serial: 1, not_before, not_after };
+    let (entity, scope) = (writer.0.name(), vec![]);
+    let ad_cert = AdCert { name, entity, scope, serial: 1, not_before, not_after };
     let grant = ReadGrant { name, to: Grantee::Entity(reader.0.name()), serial: 2, not_before, not_after };
     let (ad_cert, grant) = (issue(&owner, &ad_cert).unwrap(), issue(&owner, &grant).unwrap());
     let subscription = reader.1.subscribe(card.proof(), grant.into(), SubscribeOptions::reliable()).await.unwrap();

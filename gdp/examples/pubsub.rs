@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
+use gdp_core::cert::{AdCert, Grantee, Issued, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 
@@ -123,8 +123,8 @@ impl Credentials {
 
     fn ad_cert(&self) -> Result<Issued<AdCert>> {
         let (serial, not_before, not_after) = today()?;
-        let (name, entity, mode, scope) = (self.card.name(), self.robot.name(), Mode::Unicast, vec![]);
-        Ok(issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into())
+        let (name, entity, scope) = (self.card.name(), self.robot.name(), vec![]);
+        Ok(issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after })?.into())
     }
 
     fn grant(&self) -> Result<Reading> {

@@ -18,14 +18,15 @@
 mod node;
 
 pub use gdp_core::card::NameCard;
-pub use gdp_core::cert::{AdCert, Grantee, Issued, Membership, Mode, ReadGrant, Reading};
+pub use gdp_core::cert::{AdCert, Grantee, Issued, Membership, ReadGrant, Reading};
 pub use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
 pub use gdp_core::name::{Name, NamePrefix, NameProof};
 pub use gdp_e2e::seal::{Encoding, MessageId};
 pub use gdp_wire::ErrorCode;
 pub use node::{
-    Call, Client, Ended, Feedback, FrameError, Instance, LinkConfig, LinkState, LinkStatus, Meter, Node, NodeConfig,
-    NodeCounters, NodeError, Overflow, PublishOptions, Publisher, PublisherCounters, Reliability, Rotation, SETTLING,
-    Server, Stated, SubscribeOptions, Subscription, SubscriptionCounters, Unflushed, Wants,
+    Call, Client, Ended, Feedback, FrameError, ImmediateSender, Instance, LinkConfig, LinkState, LinkStatus,
+    MessageSink, Meter, Node, NodeConfig, NodeCounters, NodeError, Overflow, PublishOptions, Publisher,
+    PublisherCounters, Reliability, Rotation, SETTLING, Server, Stated, SubscribeOptions, Subscription,
+    SubscriptionCounters, Unflushed, Wants,
 };

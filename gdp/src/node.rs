@@ -19,6 +19,7 @@ mod frame_size;
 mod greeting;
 mod handle;
 mod home;
+mod immediate_sender;
 mod inbox;
 mod ingress;
 mod latched;
@@ -50,6 +51,7 @@ mod service;
 mod service_instances;
 mod services;
 mod shared_entry;
+mod sink;
 mod state;
 mod statement;
 mod subscription;
@@ -62,6 +64,7 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 use tokio::sync::{mpsc, watch};
 
+use self::command::Commands;
 use self::handle::Handle;
 use self::home::Home;
 use self::links::Connection;
@@ -84,11 +87,13 @@ pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters}
 pub use ending::Ended;
 pub use error::{NodeError, Unflushed};
 pub use feedback::{Feedback, FrameError};
+pub use immediate_sender::ImmediateSender;
 pub use links::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
 pub use publisher::Publisher;
 pub use service_instances::Instance;
 pub use services::{Call, Client, Server};
+pub use sink::MessageSink;
 pub use statement::Stated;
 pub use subscription::Subscription;
 
@@ -106,12 +111,12 @@ impl Node {
             return Err(NodeError::Links(links.len()));
         }
         let home = Home::new(&identity, credentials)?;
-        let (commands, command_queue) = std::sync::mpsc::channel();
+        let (commands, command_queue, wake) = Commands::new()?;
         let (updates, update_queue) = mpsc::unbounded_channel();
         let revoked = Revoked::open(state.as_deref(), identity.name())?;
         let state = Arc::new(State::new(identity, home, &links, revoked, commands, updates));
         let (send_path, feedback) = (state.send_path.clone(), state.feedback.clone());
-        let receiver = Receiver { commands: command_queue, send_path, feedback };
+        let receiver = Receiver { commands: command_queue, wake, send_path, feedback };
         spawn("gdp-receive", move || receiver.run())?;
 
         // From here on, dropping the handle stops the node.

@@ -5,7 +5,7 @@
 
 use gdp_core::card::NameCard;
 use gdp_core::cert;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Requester, Signed};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, ReadGrant, Requester, Signed};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::EpochKey;
@@ -22,8 +22,8 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     let switch = Identity::generate("switch")?.name();
 
     let (name, not_before, not_after) = (card.name(), NOW, NOW + 3600);
-    let (mode, scope, serial) = (Mode::Unicast, vec![], NOW * 1_000_000_000);
-    let ad_cert = AdCert { name, entity: writer.name(), mode, scope, serial, not_before, not_after };
+    let (scope, serial) = (vec![], NOW * 1_000_000_000);
+    let ad_cert = AdCert { name, entity: writer.name(), scope, serial, not_before, not_after };
     let ad_cert = cert::issue(&owner, &ad_cert)?;
     let grant = ReadGrant { name, to: Grantee::Entity(reader.name()), serial, not_before, not_after };
     let grant = cert::issue(&owner, &grant)?.into();

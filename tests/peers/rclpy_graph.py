@@ -5,6 +5,7 @@ import sys
 import time
 
 import rclpy
+from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 
@@ -38,16 +39,20 @@ def described(node):
 
 
 def parameters(node, of):
-    """What `ros2 param list` and `param get` do, as soon as the node is there."""
+    """What `ros2 param list`, `get`, `set` and `get` do, as soon as the node is there."""
     client = AsyncParameterClient(node, of)
     if not client.wait_for_services(timeout_sec=30):
         return {"event": "parameters", "error": "its services are not there"}
-    future = client.list_parameters([], 10)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=30)
-    names = sorted(future.result().result.names)
-    future = client.get_parameters(["use_sim_time"])
-    rclpy.spin_until_future_complete(node, future, timeout_sec=30)
-    return {"event": "parameters", "names": names, "use_sim_time": future.result().values[0].bool_value}
+
+    def answer(future):
+        rclpy.spin_until_future_complete(node, future, timeout_sec=30)
+        return future.result()
+
+    get = lambda: answer(client.get_parameters(["use_sim_time"])).values[0].bool_value
+    names = sorted(answer(client.list_parameters([], 10)).result.names)
+    before = get()
+    changed = answer(client.set_parameters([Parameter("use_sim_time", value=True)])).results[0]
+    return {"event": "parameters", "names": names, "use_sim_time": [before, get()], "reason": changed.reason}
 
 
 rclpy.init()

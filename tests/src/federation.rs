@@ -27,10 +27,9 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
 use crate::fabric::{Authority, Switch, TOPIC, TYPE, write_yaml};
-use crate::netns::{End, Namespace, execute, veth};
+use crate::netns::{End, Namespace, veth};
 use crate::packet::PacketSocket;
 use crate::process::Process;
-use crate::programs::Program;
 use crate::tools::Tools;
 use crate::wait::{TIMEOUT, wait_for};
 
@@ -205,7 +204,7 @@ impl Federation {
         }
         lay((&self.nats[0], INSIDE), (&self.robot, WLAN))?;
         lay((&self.nats[2], INSIDE), (&self.cloud, "c0"))?;
-        self.nats.iter().try_for_each(masquerade)?;
+        self.nats.iter().try_for_each(|nat| nat.masquerade(INSIDE))?;
         self.nats[2].ip(&["addr", "add", "192.168.3.1/24", "dev", INSIDE])?;
         self.cloud.ip(&["addr", "add", "192.168.3.8/24", "dev", "c0"])?;
         self.cloud.ip(&["route", "add", "default", "via", "192.168.3.1"])?;
@@ -308,7 +307,7 @@ impl Federation {
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
         let name = authority.topic()?;
         let Domains { enterprise, university, .. } = &self.domains;
-        let publish = ["--publish", "--mode", "multicast", "--scope", enterprise, "--scope", university];
+        let publish = ["--publish", "--scope", enterprise, "--scope", university];
         authority.grant("robot", &self.admit("robot")?, &publish)?;
         authority.grant("cloud", &self.admit("cloud")?, &["--read"])?;
         self.cloud_proxy = Some(self.start_proxy("cloud", "in", &self.cloud, &[CLOUD_LINK], &[])?);
@@ -424,23 +423,6 @@ impl Federation {
 /// The robot's interface, and a router's interface on its private side.
 const WLAN: &str = "wlan0";
 const INSIDE: &str = "w0";
-
-/// Sets up NAT: connections from inside leave under the router's address, and only replies return.
-fn masquerade(at: &Namespace) -> Result<()> {
-    {
-        let _inside = at.enter()?;
-        fs::write("/proc/sys/net/ipv4/ip_forward", "1").context("cannot turn on IP forwarding")?;
-    }
-    let rules = format!(
-        "add table ip nat
-         add chain ip nat out {{ type nat hook postrouting priority srcnat; }}
-         add rule ip nat out oifname != \"{INSIDE}\" masquerade
-         add chain ip nat through {{ type filter hook forward priority filter; policy drop; }}
-         add rule ip nat through ct state established,related accept
-         add rule ip nat through iifname \"{INSIDE}\" accept"
-    );
-    execute(at.command(Program::Nft)?.arg(rules)).map(drop)
-}
 
 fn config(plan: &Plan, names: &[(&str, String)], folder: &Path) -> Value {
     let is_border = plan.role == "border";

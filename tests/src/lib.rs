@@ -11,6 +11,7 @@
 //!   ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: rounds, figures, tables, plots
+//! - [`system_calls`]: how many system calls programs make
 //! - [`programs`]: every external program that is started
 //! - [`process`]: programs that end when their guard is dropped, and their captured output
 //! - [`wait`]: waiting for a condition with a deadline, never for a fixed time
@@ -34,6 +35,7 @@ pub mod programs;
 pub mod replicas;
 pub mod ring;
 pub mod schema;
+pub mod system_calls;
 pub mod tools;
 pub mod wait;
 pub mod wire;

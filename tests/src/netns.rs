@@ -72,6 +72,24 @@ impl Namespace {
         Ok(())
     }
 
+    /// Makes this namespace a router with NAT: connections from the interface `inside` leave under
+    /// the router's address, and only replies return.
+    pub fn masquerade(&self, inside: &str) -> Result<()> {
+        {
+            let _inside = self.enter()?;
+            std::fs::write("/proc/sys/net/ipv4/ip_forward", "1").context("cannot turn on IP forwarding")?;
+        }
+        let rules = format!(
+            "add table ip nat
+             add chain ip nat out {{ type nat hook postrouting priority srcnat; }}
+             add rule ip nat out oifname != \"{inside}\" masquerade
+             add chain ip nat through {{ type filter hook forward priority filter; policy drop; }}
+             add rule ip nat through ct state established,related accept
+             add rule ip nat through iifname \"{inside}\" accept"
+        );
+        execute(self.command(Program::Nft)?.arg(rules)).map(drop)
+    }
+
     /// Returns a command that runs its program in this namespace.
     pub fn command(&self, program: impl Executable) -> Result<Command> {
         let namespace = self.open()?;

@@ -133,7 +133,7 @@ impl AsRawFd for PacketSocket {
 }
 
 /// The first byte of a data frame.
-const DATA: u8 = 0x10;
+const DATA: u8 = 0x20;
 
 /// Returns whether this Ethernet frame is a GDP data frame.
 pub fn is_gdp_data(frame: &[u8]) -> bool {

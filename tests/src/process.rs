@@ -1,6 +1,7 @@
 //! Programs that end when their guard is dropped. A file collects their output and can be read
 //! while they run.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -63,6 +64,23 @@ impl Process {
             text.split_ascii_whitespace().next()?.parse::<u64>().ok()
         });
         Ok(Duration::from_nanos(taken.sum()))
+    }
+
+    /// Returns the voluntary context switches of the program's threads so far, by the name of the
+    /// thread.
+    pub fn wakeups(&self) -> Result<BTreeMap<String, u64>> {
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.pid())).context("its threads")?;
+        let mut wakeups = BTreeMap::new();
+        for thread in threads.flatten() {
+            // The thread may have ended meanwhile.
+            let Ok(text) = std::fs::read_to_string(thread.path().join("status")) else { continue };
+            let field = |name: &str| text.lines().find_map(|line| Some(line.strip_prefix(name)?.trim()));
+            let Some(count) = field("voluntary_ctxt_switches:").and_then(|count| count.parse::<u64>().ok()) else {
+                continue;
+            };
+            *wakeups.entry(field("Name:").unwrap_or("?").to_owned()).or_default() += count;
+        }
+        Ok(wakeups)
     }
 
     /// Returns what the program has written to stdout so far.

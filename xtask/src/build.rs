@@ -81,6 +81,10 @@ pub fn executables(which: Executables, profile: Profile, features: Features) -> 
         Executables::Switch => command.args(["--package", SWITCH]),
         Executables::All => command.args(["--bin", PROXY]),
     };
+    if profile == Profile::Checked {
+        // As the tests are built, so that nothing is compiled twice.
+        command.args(["--workspace", "--features", workspace::FEATURES]);
+    }
     for (is_wanted, feature) in [(features.dpdk, "gdp-ctl/dpdk"), (features.etcd, "gdp-ctl/etcd")] {
         if is_wanted {
             command.args(["--features", feature]);

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::setup::{self, Purpose};
-use crate::test::FEATURES;
+use crate::workspace::FEATURES;
 use crate::workspace::{self, Profile};
 use crate::{peers, shell};
 

@@ -53,7 +53,7 @@ pub fn run(options: Options) -> Result<()> {
     // Builds the whole workspace, as the other commands do. With another selection of packages
     // Cargo would choose other features for the dependencies, and recompile them all.
     let mut executables = shell::cargo();
-    executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", FEATURES]);
+    executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", workspace::FEATURES]);
     shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
     let mut networks = tests(&options);
     networks.args(["--workspace", "--test", NETWORKS]);
@@ -65,13 +65,10 @@ pub fn run(options: Options) -> Result<()> {
 /// The test target that needs root. It runs only when named.
 const NETWORKS: &str = "networks";
 
-/// The features of `gdp-proxy` that a default build lacks: a switch, and graphs of rmw_zenoh.
-pub const FEATURES: &str = "gdp-proxy/relay,gdp-proxy/zenoh";
-
 /// Returns the command that runs tests, with all features.
 fn tests(options: &Options) -> Command {
     let mut command = shell::cargo();
-    command.args(["test", "--profile", Profile::Checked.name(), "--features", FEATURES]);
+    command.args(["test", "--profile", Profile::Checked.name(), "--features", workspace::FEATURES]);
     command.args(options.filter.as_deref());
     command
 }

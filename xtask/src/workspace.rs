@@ -2,6 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+/// The features of `gdp-proxy` that a default build lacks: a switch, and graphs of rmw_zenoh. Tests
+/// have them.
+pub const FEATURES: &str = "gdp-proxy/relay,gdp-proxy/zenoh";
+
 /// Returns the folder of the root `Cargo.toml`.
 pub fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace")

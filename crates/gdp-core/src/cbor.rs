@@ -2,7 +2,7 @@
 //! text in human-readable formats. Certificates and control messages use it. Nothing here depends
 //! on what it encodes.
 
-use ciborium::Value;
+pub use ciborium::Value;
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Maximum nesting depth, far above that of any valid value of this project.
@@ -33,15 +33,40 @@ pub fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, CborError> {
 /// Also refuses any encoding that [`encode`] would not produce, and thereby trailing bytes,
 /// duplicate keys and fields unknown to `T`.
 pub fn decode<T: DeserializeOwned + Serialize>(bytes: &[u8], max: usize) -> Result<T, CborError> {
-    if bytes.len() > max {
-        return Err(CborError::TooLong { got: bytes.len(), max });
-    }
-    let value: T = ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH)
-        .map_err(|e| CborError::Malformed(e.to_string()))?;
+    let value: T = read(bytes, max)?;
     if encode(&value)? != bytes {
         return Err(CborError::NotDeterministic);
     }
     Ok(value)
+}
+
+/// Decodes a map as [`decode`] does, except that it may have fields unknown to `T`. Returns these
+/// beside the value. `T` must ignore them.
+pub fn decode_open<T: DeserializeOwned + Serialize>(
+    bytes: &[u8],
+    max: usize,
+) -> Result<(T, Vec<(Value, Value)>), CborError> {
+    let value: T = read(bytes, max)?;
+    let known = encode(&value)?;
+    if known == bytes {
+        return Ok((value, Vec::new()));
+    }
+    let (Value::Map(all), Value::Map(fields)) = (decode(bytes, max)?, decode(&known, known.len())?) else {
+        return Err(CborError::NotDeterministic);
+    };
+    let is_known = |(key, _): &(Value, Value)| fields.iter().any(|(field, _)| field == key);
+    let (own, others): (Vec<_>, Vec<_>) = all.into_iter().partition(is_known);
+    if encode(&Value::Map(own))? != known {
+        return Err(CborError::NotDeterministic);
+    }
+    Ok((value, others))
+}
+
+fn read<T: DeserializeOwned>(bytes: &[u8], max: usize) -> Result<T, CborError> {
+    if bytes.len() > max {
+        return Err(CborError::TooLong { got: bytes.len(), max });
+    }
+    ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH).map_err(|e| CborError::Malformed(e.to_string()))
 }
 
 fn sort_maps(value: &mut Value) -> Result<(), CborError> {

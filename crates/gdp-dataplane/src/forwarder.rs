@@ -21,13 +21,18 @@ use super::userspace::{CopyOut, Outcome, copies, handle};
 /// again.
 const LOOK: usize = 16;
 
-/// Maximum time until a thread notices that it should end.
-const NOTICE: Duration = Duration::from_millis(100);
+/// Maximum time for which a thread without traffic retains tables that were replaced. Links wake
+/// it at once ([`Forwarder::wake`]).
+const RETAIN: Duration = Duration::from_secs(10);
+
+/// Pause after a failure of the socket.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// The thread of one socket. Dropping it ends the thread; frames to that medium are then lost and
 /// counted.
 pub struct Forwarder {
     medium: Medium,
+    socket: Arc<DataSocket>,
     shared: Arc<Shared>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -46,7 +51,7 @@ impl Forwarder {
         let stop = Arc::new(AtomicBool::new(false));
         sockets(shared, |sockets| sockets.insert(medium, socket.clone()));
         let worker = Worker {
-            socket,
+            socket: socket.clone(),
             shared: shared.clone(),
             tables,
             stop: stop.clone(),
@@ -55,12 +60,18 @@ impl Forwarder {
             unseen: Vec::new(),
         };
         let thread = std::thread::Builder::new().name("gdp-forward".into()).spawn(move || worker.run())?;
-        Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
+        Ok(Self { medium, socket, shared: shared.clone(), stop, thread: Some(thread) })
     }
 
     /// Tells the thread to end, without waiting for it.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        self.wake();
+    }
+
+    /// Lets the thread release what was removed from the tables.
+    pub fn wake(&self) {
+        self.socket.wake();
     }
 }
 
@@ -102,10 +113,9 @@ struct Send {
 impl Worker {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            // Enter the tables regularly, also without traffic, so that the keys of removed links
-            // are freed.
+            // Enter the tables also without traffic, so that the keys of removed links are freed.
             drop(self.tables.enter());
-            let received = match self.socket.wait_readable(NOTICE) {
+            let received = match self.socket.wait_readable(RETAIN) {
                 Ok(false) => continue,
                 Ok(true) => self.socket.try_recv_batch(&mut self.batch),
                 Err(error) => Err(error),
@@ -119,7 +129,7 @@ impl Worker {
                 }
                 Err(error) => {
                     tracing::warn!(%error, "a data socket failed; trying on");
-                    std::thread::park_timeout(NOTICE);
+                    std::thread::park_timeout(PAUSE);
                 }
             }
         }

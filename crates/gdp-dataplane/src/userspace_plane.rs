@@ -50,6 +50,11 @@ impl UserspacePlane {
         self.forwarders.values().for_each(Forwarder::stop);
     }
 
+    /// Lets the threads release the keys of links that were removed or changed.
+    fn wake_threads(&self) {
+        self.forwarders.values().for_each(Forwarder::wake);
+    }
+
     /// Sends a frame of this node on a link.
     pub fn send_own(&self, link: u32, header: Header, payload: &[u8]) {
         if let Some((header, to)) = self.tables.address_frame(link, header) {
@@ -68,11 +73,13 @@ impl DataPlane for UserspacePlane {
 
     fn set_link(&mut self, link: &LinkEntry, to: LinkAddr) -> Result<(), UpdateError> {
         self.tables.set_link(*link, to);
+        self.wake_threads();
         Ok(())
     }
 
     fn remove_link(&mut self, id: u32) -> Result<(), UpdateError> {
         self.tables.remove_link(id);
+        self.wake_threads();
         Ok(())
     }
 

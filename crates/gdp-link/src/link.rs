@@ -14,15 +14,17 @@ mod ids;
 mod keyed_entry;
 pub mod liveness;
 mod location;
+mod negotiation;
 mod peer_end;
 mod ratchet;
 mod rekey;
 mod streams;
 mod timing;
 mod tls;
+mod version;
 
 pub use crate::link::error::LinkError;
-use crate::link::error::close_reason;
+pub(crate) use crate::link::error::close_reason;
 pub(crate) use crate::link::location::LinkLocation;
 use crate::link::location::udp_source;
 use timing::MAX_STREAMS;
@@ -56,6 +58,7 @@ use ratchet::Ratchet;
 pub use hello::MIN_MTU;
 pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
+pub(crate) use version::Versions;
 
 /// One link. All clones refer to the same link, which closes when the last clone is dropped.
 #[derive(Clone)]

@@ -36,8 +36,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::link;
 use crate::link::{
-    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicMtu, RekeySchedule, greet_as_client,
-    greet_as_server,
+    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicMtu, RekeySchedule, Versions,
+    greet_as_client, greet_as_server,
 };
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::identity::Identity;
@@ -51,6 +51,7 @@ pub use handshakes::{HandshakeCounters, HandshakeCounts};
 use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
+pub use sys::WakeFd;
 
 /// Largest QUIC packet on Ethernet. Control traffic does not gain from larger packets, and some
 /// devices do not pass jumbo frames.
@@ -189,7 +190,7 @@ impl Port {
         quic_mtu: QuicMtu,
         frame_mtu: u32,
     ) -> Result<Self, LinkError> {
-        let (client, mut server) = link::configs(config.identity.key(), quic_mtu)?;
+        let (client, mut server) = link::configs(config.identity.key(), quic_mtu, Versions::SPOKEN)?;
         // A station does not change its MAC address within a link.
         server.migration(medium.is_udp());
         let mut endpoint_config = EndpointConfig::default();
@@ -210,6 +211,7 @@ impl Port {
             host: if let Medium::Udp { host, .. } = medium { host } else { None },
             pair: CurrentPair::default(),
             credentials: config.credentials.clone(),
+            versions: Versions::SPOKEN,
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let accepting =
@@ -252,9 +254,10 @@ impl Port {
                 .endpoint
                 .connect_with(self.client.clone(), address, link::SERVER_NAME)
                 .map_err(|error| LinkError::Handshake(format!("{to}: {error}")))?;
-            let connection = connecting
-                .await
-                .map_err(|error| LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}")))?;
+            let connection = connecting.await.map_err(|error| {
+                let error = link::close_reason(&error);
+                LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}"))
+            })?;
             let location = self.medium.location(&connection);
             greet_as_client(connection, location, hello, expected).await
         };
@@ -416,7 +419,7 @@ async fn accept_all(
 }
 
 async fn accept_one(incoming: Incoming, hello: &HelloConfig, medium: &Medium) -> Result<Link, LinkError> {
-    let failed = |error: quinn::ConnectionError| LinkError::Handshake(error.to_string());
+    let failed = |error| LinkError::Handshake(link::close_reason(&error));
     let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
     let location = medium.location(&connection);
     greet_as_server(connection, location, hello).await

@@ -188,6 +188,11 @@ impl Types {
 }
 
 impl Converter {
+    /// Whether messages stay as they are.
+    pub fn is_none(&self) -> bool {
+        matches!(self, Self::None)
+    }
+
     /// Converts one message to the other form.
     pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, gdp_msg::TranscodeError> {
         match self {

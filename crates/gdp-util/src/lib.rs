@@ -9,6 +9,7 @@
 //!   `program`)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
 //! - [`terminal`]: output lines for users (feature `program`)
+//! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
@@ -26,4 +27,5 @@ pub mod log;
 pub mod panics;
 #[cfg(feature = "program")]
 pub mod terminal;
+pub mod ticks;
 pub mod unix_time;

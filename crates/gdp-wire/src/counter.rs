@@ -56,7 +56,7 @@ counters! {
     Foreign = "foreign",
     /// Dropped: shorter than a header, or than the length in the header.
     Truncated = "drop_truncated",
-    /// Dropped: a version other than 1, a type unknown to this switch, or a header of another
+    /// Dropped: a version other than 2, a type unknown to this switch, or a header of another
     /// length.
     Unknown = "drop_unknown",
     /// Dropped: no link has the id in the header.

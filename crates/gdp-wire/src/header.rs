@@ -7,8 +7,14 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use crate::Name;
 use crate::siphash::siphash24;
 
-/// The protocol version in the high four bits of the first byte.
-pub const VERSION: u8 = 1;
+/// The protocol version of forwarded frames, errors and echoes, in the high four bits of the first
+/// byte.
+pub const VERSION: u8 = 2;
+
+/// The version of control frames. It is that of the oldest release: QUIC negotiates the version of
+/// a link, and the two ends must be able to exchange its packets to refuse each other with a
+/// reason.
+pub const CONTROL_VERSION: u8 = 1;
 
 /// First byte above those of GDP frames on a shared UDP port: this and all larger ones are QUIC.
 pub const FIRST_QUIC_BYTE: u8 = 0x40;
@@ -42,7 +48,7 @@ pub enum ErrorCode {
     TooBig = 2,
     /// The hop limit is used up.
     HopLimit = 3,
-    /// The link may not send to this name, or as this source.
+    /// The link may not send to this name.
     NotAuthorised = 4,
 }
 
@@ -84,7 +90,8 @@ impl FrameType {
     /// Returns the first byte of a frame of this type.
     #[inline(always)]
     pub const fn first_byte(self) -> u8 {
-        VERSION << 4 | self as u8
+        let version = if matches!(self, Self::Control) { CONTROL_VERSION } else { VERSION };
+        version << 4 | self as u8
     }
 }
 
@@ -96,7 +103,7 @@ impl FrameType {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
-    /// Version (high 4 bits) and [`FrameType`] (low 4 bits).
+    /// [`VERSION`] (high 4 bits) and [`FrameType`] (low 4 bits).
     pub version_type: u8,
     /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2
     /// bits).
@@ -127,6 +134,8 @@ impl Header {
     pub const LEN: usize = 96;
     /// Byte range of the hop tag in the header.
     pub const TAG: core::ops::Range<usize> = 16..24;
+    /// Number of words that the hop tag covers.
+    pub const TAGGED_WORDS: usize = 7;
 
     /// Flag: the key phase of the tag, one of the two link keys that are valid at a time.
     pub const KEY_PHASE: u8 = 0x80;
@@ -286,23 +295,30 @@ impl Header {
         self.tag = tag.to_be();
     }
 
-    /// Returns the hop tag of this header under a key of its link.
+    /// Returns the hop tag of this header under a key of its link, for the whole count of the
+    /// frame.
     #[inline(always)]
     pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
         siphash24(key, &self.tagged_words(count))
     }
 
-    /// Returns the eleven little-endian words that the hop tag covers: the header without the tag,
-    /// and the high 32 bits of the link's count. Those bits are not in the header. They are XORed
-    /// onto the link id, which is constant under a key.
+    /// Returns the little-endian words that the hop tag covers: the header up to the source,
+    /// without the tag, and the high 32 bits of the link's count. Those bits are not in the header.
+    /// They are XORed onto the link id, which is constant under a key. `docs/security.md` states
+    /// who checks the source.
     #[inline(always)]
-    pub fn tagged_words(&self, count: u64) -> [u64; 11] {
+    pub fn tagged_words(&self, count: u64) -> [u64; Self::TAGGED_WORDS] {
+        let link = self.word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
+        [self.word(0), link, self.word(3), self.word(4), self.word(5), self.word(6), self.word(7)]
+    }
+
+    /// Returns a word of the header; `i` is below 12.
+    #[inline(always)]
+    fn word(&self, i: usize) -> u64 {
         let this = (&raw const *self).cast::<u64>();
         // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, which is twelve
         // words.
-        let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
-        let link = word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
-        [word(0), link, word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
+        u64::from_le(unsafe { this.add(i).read() })
     }
 }
 

@@ -2,8 +2,8 @@
 
 use crate::{Header, LinkEntry};
 
-/// Writes the fields of `link` into a frame that leaves by it, and the hop tag over the whole
-/// header. `count` is the number of frames sent on the link, including this one.
+/// Writes the fields of `link` into a frame that leaves by it, and the hop tag. `count` is the
+/// number of frames sent on the link, including this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     let key = direct(header, link, count);

@@ -10,7 +10,7 @@ use crate::Name;
 /// Version of all data plane memory that outlives a daemon: the maps, and the meaning of their
 /// entries. Must be raised with every change of meaning. Must also be raised with changes of sizes,
 /// although the daemon compares those itself.
-pub const ABI: u32 = 7;
+pub const ABI: u32 = 8;
 
 /// Maximum number of links of a switch. The low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;

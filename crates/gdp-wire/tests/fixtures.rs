@@ -70,7 +70,7 @@ fn a_daemon_is_given_no_probe_right_after_another() {
     }
     let onward: Expected = sends(&probe(WEST, 1 << 3), EAST, 1 << 3).into();
     assert_eq!(both(&probe(WEST, 1 << 3)), [onward.clone(), onward], "one that goes on costs the daemon nothing");
-    let answer = probe(WEST, 9).with(|f| (f.version_type, f.egress_set) = (0x14, 1));
+    let answer = probe(WEST, 9).with(|f| (f.version_type, f.egress_set) = (0x24, 1));
     assert_eq!(both(&answer), [pass("slow"), pass("notice")], "and what is not a probe goes on being heard");
 }
 
@@ -257,6 +257,7 @@ fn cases() -> Vec<Case> {
         replays(),
         sizes(),
         tags(),
+        other_sources(),
         echoes_and_errors(),
         probes(),
         other_frames(),
@@ -397,19 +398,19 @@ fn permission() -> Vec<Case> {
         from(CLOUD).to("last bit").refused("a name that another publishes", "drop_not_permitted"),
         from(CLOUD).to("here").refused("a name that it reads", "drop_not_permitted"),
         from(ROBOT).to("read only").refused("a name that nobody here publishes", "drop_not_permitted"),
-        from(ROBOT).to("far").with(|f| f.source = own(CLOUD)).refused("as another endpoint", "drop_source"),
-        from(ROBOT).to("far").with(|f| f.source = own(WEST)).refused("as a switch", "drop_source"),
-        from(ROBOT).to("far").with(|f| f.source = [0; 32]).refused("as nobody", "drop_source"),
+        from(ROBOT).to("far").with(|f| f.source = own(CLOUD)).case("as another endpoint", drop("drop_source")),
+        from(ROBOT).to("far").with(|f| f.source = own(WEST)).case("as a switch", drop("drop_source")),
+        from(ROBOT).to("far").with(|f| f.source = [0; 32]).case("as nobody", drop("drop_source")),
         from(CLOUD)
             .to("unheard of")
             .with(|f| f.source = own(ROBOT))
-            .refused("the source is looked at before the name", "drop_source"),
+            .case("the source is looked at before the name", drop("drop_source")),
         transit.case("a switch vouches for what endpoints beyond it sent", sends(&transit, EAST, 1 << 3)),
         to_reader.case("also where it is delivered", delivers(&to_reader, CLOUD)),
     ];
     for byte in [0, 7, 8, 31] {
         let altered = from(ROBOT).to("far").with(|f| f.source[byte] ^= 0x10);
-        cases.push(altered.refused(&format!("byte {byte} of the source differs"), "drop_source"));
+        cases.push(altered.case(&format!("byte {byte} of the source differs"), drop("drop_source")));
     }
     cases
 }
@@ -446,7 +447,7 @@ fn borders() -> Vec<Case> {
         child("home and abroad").case("and everywhere else, without a mark", copied(everywhere.to_vec())),
         child("child").case("but not back", drop("drop_hairpin")),
         abroad("child").case("the other way only what may cross, too", drop("drop_split_horizon")),
-        to_here.refused("a source that the domain may not send as", "drop_source"),
+        to_here.case("a source that the domain may not send as", drop("drop_source")),
         abroad("far").refused("a name that the domain may not send to", "drop_not_permitted"),
     ]
 }
@@ -564,8 +565,8 @@ fn tags() -> Vec<Case> {
         ("link counter", 12, 0x01, "drop_bad_tag"),
         ("tag", 16, 0x01, "drop_bad_tag"),
         ("egress bits", 24, 0x01, "drop_bad_tag"),
-        ("destination", 63, 0x01, "drop_bad_tag"),
-        ("source", 95, 0x01, "drop_bad_tag"),
+        ("destination", 32, 0x80, "drop_bad_tag"),
+        ("destination (last)", 63, 0x01, "drop_bad_tag"),
     ];
     let mut cases = Vec::new();
     for (field, offset, bit, counter) in flips {
@@ -588,10 +589,36 @@ fn tags() -> Vec<Case> {
     cases
 }
 
+/// The source is changed in transit; the tag of the original stays. Who would act on the source
+/// drops the frame without an error, or does not look at it.
+fn other_sources() -> Vec<Case> {
+    let altered = |sent: &Sent, at: usize| {
+        let tag = u64::from_be_bytes(fixtures::array(&fixtures::hex(&sent.frame.header()[16..24])));
+        let honest = sent.clone().with(|f| f.source[at - 64] ^= 1);
+        (honest.clone().with(|f| f.tag = Some(tag)), honest)
+    };
+    let (out, transit) = (from(ROBOT).to("far"), from(WEST).bits(1 << 3).to("far"));
+    let (to_reader, abroad) = (from(EAST).bits(OWN).to("here"), from(ABROAD).to("home and abroad"));
+    let mut cases = Vec::new();
+    for at in [64, 95] {
+        for (sent, place) in [(&out, "an endpoint"), (&abroad, "another domain")] {
+            let name = format!("byte {at} is another: no writer of {place}");
+            cases.push(altered(sent, at).0.case(&name, drop("drop_source")));
+        }
+        let (through, as_if) = altered(&transit, at);
+        let name = format!("byte {at} is another: in transit nobody reads the source");
+        cases.push(through.case(&name, sends(&as_if, EAST, 1 << 3)));
+        let (delivered, as_if) = altered(&to_reader, at);
+        let name = format!("byte {at} is another: the reader has no key of that writer");
+        cases.push(delivered.case(&name, delivers(&as_if, CLOUD)));
+    }
+    cases
+}
+
 /// Frames between neighbours.
 fn echoes_and_errors() -> Vec<Case> {
     let echo = |from: Sent| {
-        from.bits(0x1122_3344_5566_7788).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]))
+        from.bits(0x1122_3344_5566_7788).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x24, 1, vec![]))
     };
     let answer = |sent: &Sent, by: u32| Expected {
         counter: "echoed".into(),
@@ -603,7 +630,7 @@ fn echoes_and_errors() -> Vec<Case> {
     let loaded = echo(from(WEST)).with(|f| f.payload = vec![7; 100]);
     let over_udp = echo(from(UDP));
     let error =
-        from(EAST).bits(9).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]));
+        from(EAST).bits(9).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x22, 1, 1, vec![]));
     vec![
         asked.case("an echo comes back", answer(&asked, WEST)),
         by_endpoint.case("also to an endpoint", answer(&by_endpoint, ROBOT)),
@@ -617,7 +644,7 @@ fn echoes_and_errors() -> Vec<Case> {
         notice(error.clone(), "and so is an error"),
         from(ROBOT)
             .bits(9)
-            .with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]))
+            .with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x22, 1, 1, vec![]))
             .case("an endpoint has nothing to refuse", drop("drop_unknown")),
         error.with(|f| f.tag = Some(1)).case("but not one that the neighbour did not send", drop("drop_bad_tag")),
     ]
@@ -674,9 +701,14 @@ fn other_frames() -> Vec<Case> {
         first_byte(0x11).case("a control frame is the daemon's", pass("control")),
         raw("also a short one", &short_control, pass("control")),
         first_byte(0x00).case("version 0", drop("drop_unknown")),
-        first_byte(0x20).case("version 2", drop("drop_unknown")),
-        first_byte(0x15).case("the first type that is not known", drop("drop_unknown")),
-        first_byte(0x1f).case("the last type", drop("drop_unknown")),
+        first_byte(0x10).case("version 1", drop("drop_unknown")),
+        first_byte(0x30).case("version 3", drop("drop_unknown")),
+        first_byte(0x12).case("an error of version 1", drop("drop_unknown")),
+        first_byte(0x13).case("a probe of version 1", drop("drop_unknown")),
+        first_byte(0x14).case("an echo of version 1", drop("drop_unknown")),
+        first_byte(0x21).case("a control frame of version 2", drop("drop_unknown")),
+        first_byte(0x25).case("the first type that is not known", drop("drop_unknown")),
+        first_byte(0x2f).case("the last type", drop("drop_unknown")),
         first_byte(0x40).case("what would be QUIC on UDP", drop("drop_unknown")),
         first_byte(0xff).case("the last first byte", drop("drop_unknown")),
         header_words(11).case("a shorter header", drop("drop_unknown")),
@@ -715,7 +747,7 @@ fn crossings() -> Vec<Case> {
             padded.case(&format!("what is behind a frame stays behind, from {label}"), sends(&padded, to, bit(to))),
         );
         cases.push(from(by).bits(1 << 62).refused(&format!("an error goes back to {label}"), "drop_no_egress"));
-        let echo = from(by).bits(7).with(|f| (f.version_type, f.hop_limit) = (0x14, 1));
+        let echo = from(by).bits(7).with(|f| (f.version_type, f.hop_limit) = (0x24, 1));
         let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set, f.payload) = (1, 1, vec![]));
         cases.push(
             echo.case(&format!("an echo goes back to {label}"), Expected { counter: "echoed".into(), ..answer.into() }),
@@ -734,7 +766,7 @@ fn crossings() -> Vec<Case> {
         reads.case("and reads", delivers(&reads, NAT)),
         moved.case("its address is no part of the link", sends(&writes, EAST, 1 << 3)),
         over_ethernet.case("nor is what carries its frames", sends(&writes, EAST, 1 << 3)),
-        refusal(from(NAT).to("from behind nat").with(|f| f.source = [9; 32]), "as another, over UDP", "drop_source"),
+        writes.clone().with(|f| f.source = [9; 32]).case("as another, over UDP", drop("drop_source")),
         refusal(from(NAT).to("far"), "to what it does not publish, over UDP", "drop_not_permitted"),
         writes.clone().with(|f| f.key = [1, 2]).case("forged, over UDP", drop("drop_bad_tag")),
         writes.with(|f| f.link_id = INET).case("moved to another link, over UDP", drop("drop_bad_tag")),
@@ -773,7 +805,7 @@ fn congestion() -> Vec<Case> {
             frame: Some(Bytes::new(&with_mark(&both, by, bits).0.bytes())),
             counter: "forwarded".into(),
         };
-        let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]));
+        let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x24, 1, vec![]));
         let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set) = (1, 1));
         let nowhere = marked(1 << 62);
         cases.extend([
@@ -903,7 +935,7 @@ fn from(id: u32) -> Sent {
 
 /// Returns a probe as a switch forwards it.
 fn probe(id: u32, bits: u64) -> Sent {
-    from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x13, vec![0x77; 8]))
+    from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x23, vec![0x77; 8]))
 }
 
 impl Sent {
@@ -951,7 +983,7 @@ impl Sent {
     fn error(&self, counter: &str, code: u8, mtu: u64) -> Expected {
         let told = mtu << 32 | u64::from(self.frame.link_counter as u32);
         let error = sends(self, self.frame.link_id, told).with(|f| {
-            (f.version_type, f.hop_limit, f.egress_set) = (0x12, 1, code);
+            (f.version_type, f.hop_limit, f.egress_set) = (0x22, 1, code);
             (f.payload, f.payload_len) = (vec![], None);
         });
         Expected { counter: counter.into(), ..error.into() }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow, bail};
 use clap::{Args, ValueEnum};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, Mode, RtCert, Signed, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, RtCert, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::name::Name;
 use gdp_proto::control::{EntityRequest, Response};
@@ -143,7 +143,6 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
     let claims = AdCert {
         name: card.name(),
         entity: entity.name(),
-        mode: Mode::Unicast,
         scope: Vec::new(),
         serial: serial_now(),
         not_before,

@@ -3,7 +3,7 @@
 
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{MAX_REVOKED, Revocation, Signed};
+use gdp_core::cert::{MAX_REVOKED, Revocation, Signed, last_serial};
 use gdp_proto::control::{EntityRequest, Response};
 use gdp_util::terminal::note;
 use gdp_wire::Name;
@@ -92,6 +92,7 @@ pub struct RevokeOutput {
 
 /// Returns the revocation that follows `known`. A new `floor` supersedes all earlier revocations,
 /// so `known` may be lost. The number is then at least the time, which exceeds any earlier number.
+/// Certificates in the ledger that a faulty clock dated above the floor are listed beside it.
 pub fn next<E: Entry>(
     name: Name,
     known: Option<&Revocation>,
@@ -101,6 +102,7 @@ pub fn next<E: Entry>(
     now: u64,
 ) -> anyhow::Result<Revocation> {
     let number = known.map_or(0, |known| known.number).checked_add(1).context("the numbers are used up")?;
+    let is_new_floor = floor.is_some();
     let (number, floor) = match floor {
         Some(floor) => (number.max(now), floor),
         None => (number, known.map_or(0, |known| known.floor)),
@@ -111,7 +113,8 @@ pub fn next<E: Entry>(
     };
     let mut revoked: Vec<u64> = known.map_or_else(Vec::new, |known| known.revoked.clone());
     revoked.retain(|serial| !over(serial));
-    revoked.extend(chosen.iter().filter(|serial| **serial >= floor));
+    let dated_ahead = issued.iter().map(Entry::serial).filter(|_| is_new_floor);
+    revoked.extend(chosen.iter().copied().chain(dated_ahead).filter(|serial| *serial >= floor));
     revoked.sort_unstable();
     revoked.dedup();
     if revoked.len() > MAX_REVOKED {
@@ -124,18 +127,21 @@ pub fn next<E: Entry>(
 }
 
 /// Returns the time as the serial, or the next serial above all issued or revoked ones if the clock
-/// was set back.
+/// was set back a little. Nobody accepts a serial that is further ahead of the clock, so
+/// certificates that a faulty clock dated so are passed over. A floor cannot be.
 pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
-    let issued = issued.iter().map(Entry::serial);
-    let revoked = revocation.into_iter().flat_map(|revocation| {
-        let floor = revocation.floor.checked_sub(1);
-        revocation.revoked.iter().copied().chain(floor)
-    });
-    let next = match issued.chain(revoked).max() {
-        Some(last) => last.checked_add(1).context("the serials of this name are used up; make a new name")?,
-        None => 0,
-    };
-    Ok(serial_now().max(next))
+    let now = serial_now();
+    let last = last_serial(now / 1_000_000_000);
+    let revoked = revocation.into_iter().flat_map(|revocation| revocation.revoked.iter().copied());
+    let used = issued.iter().map(Entry::serial).chain(revoked).filter(|serial| *serial < last);
+    let floor = revocation.map_or(0, |revocation| revocation.floor);
+    if floor > last {
+        bail!(
+            "all serials below {floor} are revoked, a time in ns that is ahead of the clock; check the clock, or make a \
+             new name"
+        );
+    }
+    Ok(used.max().map_or(0, |used| used + 1).max(floor).max(now))
 }
 
 fn send(card: &NameCard, revocation: Signed<Revocation>, context: &Context) -> anyhow::Result<()> {

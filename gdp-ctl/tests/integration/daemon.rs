@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 use crate::switch::{Chain, TIMEOUT, config, wait};
 use gdp::{Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
@@ -459,7 +459,6 @@ impl Credentials {
         let cert = AdCert {
             name: self.card.name(),
             entity: self.robot.name(),
-            mode: Mode::Unicast,
             scope: vec![],
             serial: 1,
             not_before: 0,

@@ -15,7 +15,7 @@ use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::{TIMEOUT, wait};
 use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
+use gdp_core::cert::{AdCert, Grantee, PeerCert, ReadGrant, Revocation, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_ctl::client::Client;
@@ -227,10 +227,10 @@ impl Topic {
     }
 
     fn ad_cert(&self, to: &Identity, scope: &[&Domain]) -> Signed<AdCert> {
-        let (name, entity, mode) = (self.name(), to.name(), Mode::Multicast);
+        let (name, entity) = (self.name(), to.name());
         let scope = scope.iter().map(|domain| domain.identity.name()).collect();
         let (serial, not_before, not_after) = (1, 0, (now() + LONG) as u64);
-        issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after }).unwrap()
+        issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after }).unwrap()
     }
 
     fn grant(&self, to: &Identity) -> Signed<ReadGrant> {

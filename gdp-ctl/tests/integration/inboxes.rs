@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{TIMEOUT, config, wait};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, ReadGrant, Revocation, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
 use gdp_daemon::serve::{Running, start};
@@ -30,8 +30,8 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     let mut cloud = Endpoint::attach(&switch, &card, NameRole::Subscriber).await;
 
     let (not_before, not_after) = (0, unix_seconds() + 3600);
-    let (mode, scope) = (Mode::Unicast, Vec::new());
-    let cert = AdCert { name, entity: robot.name(), mode, scope, serial: 1, not_before, not_after };
+    let scope = Vec::new();
+    let cert = AdCert { name, entity: robot.name(), scope, serial: 1, not_before, not_after };
     let (ad_cert, advert) = (issue(&owner, &cert).unwrap().into(), robot.advert(AdvertOp::Publish, name, &switch));
     robot.state(EntityRequest::Advertise { proof, ad_cert, advert, everywhere: false }).await;
     let (to, serial) = (Grantee::Entity(cloud.name()), 2);

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 use gdp_link::link::Link;
@@ -293,7 +293,6 @@ impl Owner {
         let cert = AdCert {
             name: card.name(),
             entity: entity.name(),
-            mode: Mode::Unicast,
             scope: vec![],
             serial: 1,
             not_before: 0,

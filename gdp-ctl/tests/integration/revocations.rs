@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use crate::owner::Owner;
 use crate::switch::{TIMEOUT, config, wait};
 use gdp::{Ended, Node, NodeConfig, NodeError, PublishOptions};
-use gdp_core::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
+use gdp_core::cert::{AdCert, CertError, Issued, Revocation, issue};
 use gdp_core::identity::Identity;
 use gdp_core::name::NamePrefix;
 use gdp_ctl::client::Client;
@@ -103,9 +103,9 @@ impl Owner {
     }
 
     fn ad_cert_of(&self, entity: gdp_wire::Name, serial: u64) -> Issued<AdCert> {
-        let (name, mode, scope, not_before) = (self.card.name(), Mode::Multicast, Vec::new(), 0);
+        let (name, scope, not_before) = (self.card.name(), Vec::new(), 0);
         let not_after = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs() + 3600;
-        let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+        let claims = AdCert { name, entity, scope, serial, not_before, not_after };
         issue(&self.key, &claims).unwrap().into()
     }
 

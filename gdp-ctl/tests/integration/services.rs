@@ -8,7 +8,7 @@ use crate::owner::Owner;
 use crate::ports::free_addr;
 use crate::switch::{TIMEOUT, config, wait};
 use gdp::{Client, Node, NodeConfig, NodeError, Server};
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::Identity;
 use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
@@ -143,8 +143,8 @@ async fn answer(mut server: Server, count: usize) -> Server {
 
 impl Owner {
     async fn serve(&self, node: &Node) -> Server {
-        let (name, entity, mode, scope) = (self.card.name(), node.name(), Mode::Unicast, Vec::new());
-        let claims = AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() };
+        let (name, entity, scope) = (self.card.name(), node.name(), Vec::new());
+        let claims = AdCert { name, entity, scope, serial: 1, not_before: 0, not_after: tomorrow() };
         node.serve(self.card.proof(), issue(&self.key, &claims).unwrap().into()).await.unwrap()
     }
 

@@ -5,7 +5,7 @@ use std::process::{Child, ChildStdout, Output, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions};
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, Reading, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::{Draft, Encoding};
@@ -369,9 +369,8 @@ impl Owner {
     }
 
     fn ad(&self, entity: Name) -> gdp_core::cert::Signed<AdCert> {
-        let (name, mode, scope) = (self.card.name(), Mode::Unicast, Vec::new());
-        issue(&self.key, &AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() })
-            .unwrap()
+        let (name, scope) = (self.card.name(), Vec::new());
+        issue(&self.key, &AdCert { name, entity, scope, serial: 1, not_before: 0, not_after: tomorrow() }).unwrap()
     }
 }
 

@@ -6,7 +6,7 @@
 //! removed from the readers loses the right within [`LIFETIME`].
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, CertError, Grantee, Issued, ReadGrant, issue};
 use gdp_core::crypto::{Backend, CryptoError};
 use gdp_core::identity::SigningKey;
 use gdp_core::name::Metadata;
@@ -66,8 +66,8 @@ impl Issuer {
     pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<IssuedCredentials, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
-        let (entity, mode, scope) = (self.entity, Mode::Multicast, config.scope.clone());
-        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
+        let (entity, scope) = (self.entity, config.scope.clone());
+        let cert = issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after })?.into();
         let grant =
             |to: &Grantee| issue(&self.owner, &ReadGrant { name, to: to.clone(), serial, not_before, not_after });
         let grants = config.readers.iter().map(|reader| Ok(grant(&reader.0)?.into()));

@@ -83,6 +83,10 @@ pub struct Arrived {
     pub lost: u64,
 }
 
+/// Takes a message on the graph's receiving thread and returns true, or leaves it to
+/// [`Reader::next`](super::Reader::next).
+pub type ArrivalSink = Arc<dyn Fn(&Arrived) -> bool + Send + Sync>;
+
 /// Reasons for which a message was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {

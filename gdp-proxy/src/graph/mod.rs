@@ -10,7 +10,7 @@ mod ros2;
 mod services;
 mod zenoh;
 
-pub use crate::graph::event::{Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
+pub use crate::graph::event::{ArrivalSink, Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
 pub use actions::{ActionCaller, ActionStand};
 pub use services::{Asked, Asker, Caller, CallerError, Peer, Servers, Stand};
 
@@ -26,6 +26,7 @@ use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::Types;
 
 pub use graph_observer::{Found, GraphObserver, Offered};
+pub use ros2::ImmediateWriter;
 
 /// One ROS graph, until it is [left](Self::leave).
 pub enum Graph {
@@ -196,6 +197,15 @@ impl Reader<'_> {
         }
     }
 
+    /// Sets a function that takes messages of known publishers without the task that calls
+    /// [`Self::next`]. It is asked only while that call waits and no earlier event is pending, so
+    /// messages stay in their order. Only graphs of ROS 2 ask it.
+    pub fn set_sink(&mut self, sink: Option<&ArrivalSink>) {
+        if let Self::Ros2(reader) = self {
+            reader.set_sink(sink);
+        }
+    }
+
     /// Reads the transient-local history once more.
     pub fn again(&mut self) -> Result<(), GraphError> {
         match self {
@@ -247,6 +257,15 @@ impl Writer {
             Self::Ros1(writer) => writer.is_matched(),
             Self::Ros2(writer) => writer.is_matched(),
             Self::Zenoh(writer) => writer.is_matched(),
+        }
+    }
+
+    /// Returns a writer for other threads, which writes at once or not at all. Only graphs of ROS 2
+    /// have one.
+    pub fn immediate_writer(&self) -> Option<ImmediateWriter> {
+        match self {
+            Self::Ros2(writer) => Some(writer.immediate_writer()),
+            Self::Ros1(_) | Self::Zenoh(_) => None,
         }
     }
 

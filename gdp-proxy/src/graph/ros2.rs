@@ -1,6 +1,6 @@
 //! A topic in a DDS domain.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use bytes::Bytes;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::graph::event::{Event, Incompatibility, Key, WriteError};
+use crate::graph::event::{ArrivalSink, Event, Incompatibility, Key, WriteError};
 use crate::ros2::{
     self, Depth, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
     RosError, TopicName, TypeName, WriterChange,
@@ -77,6 +77,16 @@ const LATE: Duration = Duration::from_millis(200);
 /// A writer on behalf of a remote publisher.
 pub struct Ros2Writer(RawWriter);
 
+/// Writes messages of a [`Ros2Writer`] from any thread, at once or not at all.
+pub struct ImmediateWriter(ros2::ImmediateWriter);
+
+impl ImmediateWriter {
+    /// Returns false if the message was not taken.
+    pub fn write(&self, bytes: Bytes, timestamp_ns: u64) -> bool {
+        RawSample::parse(bytes).is_some_and(|sample| self.0.write(&sample, timestamp_ns))
+    }
+}
+
 impl<'a> Ros2Reader<'a> {
     pub fn new(domain: &'a Domain, topic: &TopicName, kind: Option<&TypeName>, qos: Option<Qos>) -> Self {
         let mut graph = domain.graph();
@@ -100,6 +110,8 @@ impl<'a> Ros2Reader<'a> {
     pub async fn next(&mut self) -> Result<Event, RosError> {
         loop {
             if let Some(event) = self.events.pop_front() {
+                // The route processes the event before messages that come later.
+                self.halves().for_each(|(_, half)| half.reader.suspend_sink());
                 return Ok(event);
             }
             let Self { graph, live, latched, early, known, .. } = self;
@@ -194,13 +206,7 @@ impl<'a> Ros2Reader<'a> {
         if self.qos.is_none() && offers.transient_local != is_latched {
             return;
         }
-        let ros2::Arrived { sample, written_ns, lost, .. } = arrived;
-        self.events.push_back(Event::Message(super::Arrived {
-            from: Some(key),
-            bytes: sample.bytes,
-            written_ns,
-            lost,
-        }));
+        self.events.push_back(Event::Message(message(key, &arrived)));
     }
 
     fn early_bytes(&self) -> usize {
@@ -261,6 +267,33 @@ impl<'a> Ros2Reader<'a> {
         }
     }
 
+    fn halves(&self) -> impl Iterator<Item = (bool, &Half)> {
+        let halves = [(false, &self.live), (true, &self.latched)].into_iter();
+        halves.filter_map(|(is_latched, half)| Some((is_latched, half.as_ref()?)))
+    }
+
+    /// See [`Reader::set_sink`](super::Reader::set_sink).
+    pub fn set_sink(&self, sink: Option<&ArrivalSink>) {
+        for (is_latched, half) in self.halves() {
+            half.reader.set_sink(sink.map(|sink| self.sink_of(is_latched, sink.clone())));
+        }
+    }
+
+    /// Returns the sink of one reader. It does for known publishers what [`Self::take`] does.
+    fn sink_of(&self, is_latched: bool, sink: ArrivalSink) -> ros2::SampleSink {
+        let is_here = |known: &Known| self.qos.is_some() || known.offers.transient_local == is_latched;
+        let known: HashMap<Key, bool> = self.known.iter().map(|(key, known)| (*key, is_here(known))).collect();
+        Box::new(move |arrived| {
+            let key = Key::from_be_bytes(arrived.writer.to_bytes());
+            match known.get(&key) {
+                Some(true) => sink(&message(key, arrived)),
+                // The other reader receives it too.
+                Some(false) => true,
+                None => false,
+            }
+        })
+    }
+
     /// Reads the transient-local history once more.
     pub fn again(&mut self) -> Result<(), RosError> {
         self.latched = None;
@@ -311,6 +344,11 @@ impl<'a> Ros2Reader<'a> {
         }
         Ok(())
     }
+}
+
+fn message(from: Key, arrived: &ros2::Arrived) -> super::Arrived {
+    let ros2::Arrived { sample, written_ns, lost, .. } = arrived;
+    super::Arrived { from: Some(from), bytes: sample.bytes.clone(), written_ns: *written_ns, lost: *lost }
 }
 
 /// Whether a DDS writer has a topic with keys: the last byte of its GUID is its kind (RTPS 2.5
@@ -389,6 +427,10 @@ impl Ros2Writer {
 
     pub fn assign(&mut self, node: &str) {
         self.0.assign(node);
+    }
+
+    pub fn immediate_writer(&self) -> ImmediateWriter {
+        ImmediateWriter(self.0.immediate_writer())
     }
 
     pub fn set_depth(&mut self, depth: u32) {

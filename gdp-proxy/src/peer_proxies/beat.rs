@@ -3,10 +3,17 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use gdp_util::ticks::next_tick;
+
 use super::{LISTEN, PeerProxies};
 
 /// Period of the announcements without changes, after the start phase ([`LISTEN`]).
 const BEAT: Duration = Duration::from_secs(1);
+
+/// The period while no other proxy is known, after [`ALONE`]. A proxy that joins announces itself,
+/// and gets an answer at once.
+const ALONE_BEAT: Duration = Duration::from_secs(5);
+const ALONE: Duration = Duration::from_secs(30);
 
 /// Shortest time between two announcements, because constant changes would load the whole graph. A
 /// proxy announces with this period in its start phase, so that those that discover it late answer
@@ -46,7 +53,13 @@ pub async fn beat(peer_proxies: Arc<PeerProxies>, mut voice: impl Voice) {
             }
             let now = tokio::time::Instant::now();
             next = now + PACE;
-            due = now + if now < began + LISTEN { PACE } else { BEAT };
+            due = match now.duration_since(began) {
+                time if time < LISTEN => now + PACE,
+                time if time > ALONE && peer_proxies.is_alone(now.into_std()) => {
+                    next_tick(ALONE_BEAT, now.into_std()).into()
+                }
+                _ => next_tick(BEAT, now.into_std()).into(),
+            };
             continue;
         };
         let text = String::from_utf8_lossy(heard.get(..MAX_TEXT.min(heard.len())).unwrap_or_default());

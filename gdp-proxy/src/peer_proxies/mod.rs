@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 
 pub use beat::{Voice, beat};
 
@@ -71,6 +71,8 @@ pub struct PeerProxies {
     state: Mutex<State>,
     /// Notified when this proxy's claims change.
     news: Notify,
+    /// Notified when those of another proxy change.
+    changes: watch::Sender<()>,
 }
 
 #[derive(Default)]
@@ -101,6 +103,12 @@ pub struct Candidate {
     peer_proxies: Arc<PeerProxies>,
     own: Name,
     part: RoutePart,
+}
+
+/// The proxies of the same graph that publish one name.
+pub struct SiblingProxies {
+    peer_proxies: Arc<PeerProxies>,
+    name: Name,
 }
 
 /// Errors in the announcement of another proxy.
@@ -155,12 +163,21 @@ impl PeerProxies {
         if state.others.len() >= MAX_OTHERS && !state.others.contains_key(&entity) {
             return Err(ClaimsError::TooMuch { what: "proxies in a graph", got: MAX_OTHERS + 1, most: MAX_OTHERS });
         }
-        let known = state.others.insert(entity, Other { able: able.into_iter().collect(), last_seen: now });
+        let able = able.into_iter().collect();
+        if state.others.get(&entity).is_none_or(|other| other.able != able) {
+            self.changes.send_replace(());
+        }
+        let known = state.others.insert(entity, Other { able, last_seen: now });
         if known.is_none() {
             // A proxy that joins gets an answer before the next period.
             self.news.notify_one();
         }
         Ok(())
+    }
+
+    /// Whether no other proxy of the graph is known.
+    fn is_alone(&self, now: Instant) -> bool {
+        !self.lock().others.values().any(|other| other.is_there(now))
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -208,6 +225,11 @@ impl Candidate {
         }
     }
 
+    /// Returns the changes of what other proxies announce.
+    pub fn changes(&self) -> Changes {
+        Changes(self.peer_proxies.changes.subscribe())
+    }
+
     /// Returns the proxy that carries the part instead of this one, if any.
     pub fn ahead(&self, now: Instant) -> Option<Name> {
         let state = self.peer_proxies.lock();
@@ -224,9 +246,33 @@ impl Candidate {
 
     /// Whether `entity` publishes the name from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
+        self.siblings().contain(now, entity)
+    }
+
+    /// Returns the siblings of this proxy: those that publish the name from the same graph.
+    pub fn siblings(&self) -> SiblingProxies {
+        SiblingProxies { peer_proxies: self.peer_proxies.clone(), name: self.part.name }
+    }
+}
+
+impl SiblingProxies {
+    pub fn contain(&self, now: Instant, entity: &Name) -> bool {
         let state = self.peer_proxies.lock();
-        let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.part.name;
+        let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.name;
         state.others.get(entity).is_some_and(|other| other.is_there(now) && other.able.keys().any(publishes))
+    }
+}
+
+/// The changes of what the other proxies of a graph announce, since it was created.
+pub struct Changes(watch::Receiver<()>);
+
+impl Changes {
+    /// Waits for the next change. Safe to cancel.
+    pub async fn next(&mut self) {
+        if self.0.changed().await.is_err() {
+            // The graph was left.
+            std::future::pending::<()>().await;
+        }
     }
 }
 

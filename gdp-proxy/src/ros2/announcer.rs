@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::nodes::Nodes;
-use super::raw::{RawReader, RawWriter, participant};
+use super::raw::{RawWriter, participant};
+use super::raw_reader::RawReader;
 use super::sample::RawSample;
 
 /// Time for which changes are gathered before this participant is announced again.

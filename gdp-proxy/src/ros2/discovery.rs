@@ -78,7 +78,7 @@ impl Discovery {
                     due = due.min(tokio::time::Instant::now() + GATHER);
                 }
                 () = tokio::time::sleep_until(due) => {
-                    due += LOOK;
+                    due = gdp_util::ticks::next_tick(LOOK, std::time::Instant::now()).into();
                     self.look(&participant, &nodes);
                 }
             }

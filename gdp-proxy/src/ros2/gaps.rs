@@ -24,3 +24,7 @@ impl Gaps {
         ahead.saturating_sub(1).try_into().unwrap_or(0)
     }
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/ros2/gaps.rs"]
+mod tests;

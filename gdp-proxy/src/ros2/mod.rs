@@ -17,6 +17,7 @@ mod presence;
 mod qos;
 mod range;
 mod raw;
+mod raw_reader;
 mod sample;
 mod service;
 
@@ -27,7 +28,8 @@ pub use graph::{ActionInfo, DisplayedQos, Endpoint, Graph, ServiceInfo, ServiceP
 pub use names::{Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
-pub use raw::{Arrived, RawReader, RawWriter, Unreadable, WriteError, WriterChange};
+pub use raw::{ImmediateWriter, RawWriter, WriteError};
+pub use raw_reader::{Arrived, RawReader, SampleSink, Unreadable, WriterChange};
 pub use sample::{ENCAPSULATION, RawSample, Representation};
 
 pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, ReceivedRequest, RequestId, Server};

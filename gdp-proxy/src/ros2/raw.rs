@@ -1,182 +1,31 @@
-//! Readers and writers of topics whose type is known by name only. A message is its CDR
-//! encapsulation, carried unchanged: a four-byte header with the encoding (RTPS 2.5 §10.2), and the
-//! encoded body.
+//! Writers of topics whose type is known by name only. A message is its CDR encapsulation, carried
+//! unchanged: a four-byte header with the encoding (RTPS 2.5 §10.2), and the encoded body.
 
 use std::future::poll_fn;
 use std::pin::pin;
 use std::sync::{Arc, Weak};
-use std::task::Poll;
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use futures::StreamExt;
-use parking_lot::Mutex;
-use rustdds::dds::{CreateError, ReadError};
-use rustdds::no_key::{DataWriter, SimpleDataReader};
+use rustdds::dds::CreateError;
+use rustdds::no_key::DataWriter;
 use rustdds::policy::Liveliness;
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
-    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, SequenceNumber, StatusEvented,
-    Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
+    DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, WriteOptions,
+    WriteOptionsBuilder,
 };
 use tokio::task::JoinHandle;
-use tokio::task::coop::cooperative;
 use tokio::time::MissedTickBehavior;
 
-use super::gaps::Gaps;
 use super::nodes::{NodeEntry, Nodes};
 use super::qos;
-use super::sample::{Adapter, Encoder, RawSample, Representation};
+use super::sample::{Encoder, RawSample, Representation};
 
 /// Timeout of a write. RustDDS checks its own maximum blocking time only when something else wakes
 /// the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
-
-/// A message that DDS delivered.
-pub struct Arrived {
-    pub writer: GUID,
-    pub sample: RawSample,
-    /// Time of the write on the writer's clock, in Unix nanoseconds.
-    pub written_ns: Option<u64>,
-    /// Number of messages of the same writer that were lost just before this one: in transit, or
-    /// because they came faster than they were read.
-    pub lost: u64,
-}
-
-/// A change of a matched writer, with its GUID.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WriterChange {
-    /// Whether the writer is alive now.
-    Liveliness([u8; 16], bool),
-    /// Number of messages that a transient-local writer keeps for late joiners. It has grown.
-    History([u8; 16], usize),
-}
-
-/// A message with the identity that services need.
-pub(super) struct SampleChange {
-    pub sample: RawSample,
-    pub writer: GUID,
-    pub sequence: SequenceNumber,
-    /// The identity of the request that the message answers, as its writer announces it.
-    pub related: Option<SampleIdentity>,
-    written_ns: Option<u64>,
-}
-
-/// A message that is not in XCDR version 1. The text is for the log.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct Unreadable(String);
-
-/// A reader of a topic of any type. It ignores messages that this participant itself wrote.
-pub struct RawReader {
-    reader: SimpleDataReader<RawSample, Adapter>,
-    gaps: Mutex<Gaps>,
-    /// Registers the expected type at discovery, so that different types of others are logged.
-    _kind: Arc<str>,
-    node: NodeEntry,
-}
-
-impl RawReader {
-    /// `kind` is registered at discovery.
-    pub(super) fn new(
-        subscriber: &rustdds::Subscriber,
-        topic: &Topic,
-        kind: Arc<str>,
-        qos: QosPolicies,
-        nodes: &Arc<Nodes>,
-    ) -> Result<Self, CreateError> {
-        let reader = subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))?;
-        let node = nodes.add(reader.guid());
-        Ok(Self { reader, gaps: Mutex::default(), _kind: kind, node })
-    }
-
-    pub(super) fn guid(&self) -> GUID {
-        self.reader.guid()
-    }
-
-    /// Moves the reader to the ROS node with this full name, which may be a remote one.
-    pub fn assign(&self, node: &str) {
-        self.node.assign(node);
-    }
-
-    /// Waits until a writer of this participant matches. Each match is reported once.
-    pub(super) async fn until_matched(&self, of: Participant) {
-        let mut events = self.reader.as_async_status_stream();
-        while let Some(event) = events.next().await {
-            if matches!(event, DataReaderStatus::SubscriptionMatched { writer, current, .. }
-                if participant(writer) == of && current.count_change() > 0)
-            {
-                return;
-            }
-        }
-        std::future::pending().await
-    }
-
-    /// Waits for a change of a matched writer. Each change is reported once. It also discards all
-    /// other changes of the status.
-    pub async fn writer_change(&self) -> WriterChange {
-        let mut events = self.reader.as_async_status_stream();
-        while let Some(event) = events.next().await {
-            match event {
-                DataReaderStatus::LivelinessChanged { alive_total, writer, .. } => {
-                    return WriterChange::Liveliness(writer.to_bytes(), alive_total.count_change() > 0);
-                }
-                DataReaderStatus::WriterHistoryGrown { writer, samples } => {
-                    return WriterChange::History(writer.to_bytes(), samples);
-                }
-                _ => {}
-            }
-        }
-        std::future::pending().await
-    }
-
-    /// Waits for the next message, without polling. A cancelled call loses no message.
-    pub async fn recv(&self) -> Result<Arrived, Unreadable> {
-        let SampleChange { sample, writer, sequence, written_ns, .. } = self.change().await?;
-        let lost = self.gaps.lock().before(writer, sequence);
-        Ok(Arrived { writer, sample, written_ns, lost })
-    }
-
-    /// Waits for the next message as [`recv`](Self::recv), and returns it with its identity.
-    pub(super) async fn change(&self) -> Result<SampleChange, Unreadable> {
-        // Other tasks get their turn, however much there is to read.
-        cooperative(poll_fn(|context| {
-            if let Some(taken) = self.take() {
-                return Poll::Ready(taken);
-            }
-            self.reader.set_waker(Some(context.waker().clone()));
-            // A message that arrived between the read and the registration of the waker would wake
-            // nobody.
-            self.take().map_or(Poll::Pending, Poll::Ready)
-        }))
-        .await
-    }
-
-    fn take(&self) -> Option<Result<SampleChange, Unreadable>> {
-        loop {
-            match self.reader.try_take_one() {
-                Ok(None) => return None,
-                Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
-                Ok(Some(change)) => {
-                    return Some(Ok(SampleChange {
-                        writer: change.writer_guid(),
-                        sequence: change.sequence_number,
-                        related: change.related_sample_identity(),
-                        written_ns: change.source_timestamp().map(nanoseconds),
-                        sample: change.into_value(),
-                    }));
-                }
-                Err(ReadError::UnknownKey { .. }) => {}
-                Err(error) => return Some(Err(Unreadable(error.to_string()))),
-            }
-        }
-    }
-
-    /// Whether this participant wrote the message. Such messages came from the fabric, and would
-    /// loop forever.
-    fn is_own(&self, writer: GUID) -> bool {
-        writer.prefix == self.reader.guid().prefix
-    }
-}
 
 /// A writer of a topic of any type.
 pub struct RawWriter {
@@ -201,6 +50,23 @@ struct EncodedWriter<const LITTLE_ENDIAN: bool> {
     node: NodeEntry,
     /// Asserts the liveliness of a writer with manual liveliness.
     assertions: Option<JoinHandle<()>>,
+}
+
+/// Writes messages of a [`RawWriter`] from any thread, at once or not at all.
+#[derive(Clone)]
+pub struct ImmediateWriter(Arc<DataWriter<RawSample, Encoder<true>>>);
+
+impl ImmediateWriter {
+    /// Writes a little-endian message as [`RawWriter::write`] does. Returns false if it was not
+    /// taken.
+    pub fn write(&self, sample: &RawSample, timestamp_ns: u64) -> bool {
+        if sample.representation != Representation::CdrLe {
+            return false;
+        }
+        let write = self.0.async_write_with_options(sample.clone(), options(timestamp_ns));
+        // DDS sends it within this call, unless something is queued.
+        matches!(pin!(write).poll(&mut Context::from_waker(Waker::noop())), Poll::Ready(Ok(_)))
+    }
 }
 
 /// Reasons for which a message was not written.
@@ -257,10 +123,12 @@ impl RawWriter {
     /// Writes one message with the source timestamp `timestamp_ns`, in Unix nanoseconds. It waits a
     /// bounded time for the sockets of this host.
     pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
-        // A best-effort writer waits as well. Otherwise it would silently discard messages that it
-        // has not sent yet.
-        let options = WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true);
-        self.write_with(sample, options.build()).await.map(drop)
+        self.write_with(sample, options(timestamp_ns)).await.map(drop)
+    }
+
+    /// Returns a writer of little-endian messages for other threads.
+    pub fn immediate_writer(&self) -> ImmediateWriter {
+        ImmediateWriter(self.little_endian.writer.clone())
     }
 
     /// Writes one message, and returns the identity by which replies refer to it.
@@ -392,6 +260,12 @@ pub(super) fn participant(endpoint: GUID) -> Participant {
     std::array::from_fn(|i| bytes[i])
 }
 
+fn options(timestamp_ns: u64) -> WriteOptions {
+    // A best-effort writer waits as well. Otherwise it would silently discard messages that it has
+    // not sent yet.
+    WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true).build()
+}
+
 /// Converts Unix nanoseconds to RTPS time: seconds and 2⁻³² fractions of a second since 1970, until
 /// 2106.
 fn timestamp(ns: u64) -> Timestamp {
@@ -402,7 +276,7 @@ fn timestamp(ns: u64) -> Timestamp {
     }
 }
 
-fn nanoseconds(timestamp: Timestamp) -> u64 {
+pub(super) fn nanoseconds(timestamp: Timestamp) -> u64 {
     let ticks = timestamp.to_ticks();
     (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
 }

@@ -36,6 +36,11 @@ impl Outbound {
         Ok(Self { converter, encoding: sealed(encoding), packer })
     }
 
+    /// Returns the encoding of messages if they are carried as they are.
+    pub fn unchanged(&self) -> Option<seal::Encoding> {
+        (self.converter.is_none() && self.packer.is_none()).then_some(self.encoding)
+    }
+
     pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, TranscodeError> {
         run_blocking_if_large(bytes.len(), || self.converter.convert(bytes))
     }
@@ -82,6 +87,11 @@ impl Inbound {
     pub fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
         let ratio = if matches!(message.encoding, seal::Encoding::Other(_)) { LIKELY_RATIO } else { 1 };
         run_blocking_if_large(message.body.len() * ratio, || self.convert_here(types, message))
+    }
+
+    /// Whether messages in CDR are written as they are.
+    pub fn is_unchanged(&mut self, types: &Types) -> bool {
+        self.converter(types, Encoding::Cdr).is_ok_and(|converter| converter.is_none())
     }
 
     fn convert_here(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {

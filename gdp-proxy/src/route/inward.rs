@@ -15,7 +15,7 @@ use tokio::time::MissedTickBehavior;
 use super::format::Inbound;
 use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
-use super::{Route, Way};
+use super::{Route, Way, direct};
 use crate::graph::Graph;
 use crate::node_name::local_node;
 use crate::peer_proxies::Candidate;
@@ -47,6 +47,8 @@ struct In<'a> {
     locals: Locals,
     /// The incompatible QoS of a local subscriber, if there is one.
     misfit: Option<String>,
+    /// Whether the direct path has the current writers.
+    is_direct: bool,
 }
 
 impl Route {
@@ -54,7 +56,8 @@ impl Route {
         let Way { graph, node, kind, card, candidate } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
         let listed = card.get("topic");
-        let mut to = In { graph, own: node.name(), candidate, listed, kind, incoming, locals, misfit: None };
+        let mut to =
+            In { graph, own: node.name(), candidate, listed, kind, incoming, locals, misfit: None, is_direct: false };
         let mut pause = RETRY;
         loop {
             let error = match node.subscribe(card.proof(), right.current(), subscribe_options(&self.config)).await {
@@ -83,7 +86,11 @@ impl Route {
         let mut ticks = ticks();
         let mut looks = tokio::time::interval(LOOK_FOR_SUBSCRIBERS);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        to.is_direct = false;
         loop {
+            if !std::mem::replace(&mut to.is_direct, true) {
+                subscription.set_sink(Some(self.direct_in(to).into_sink()));
+            }
             let is_busy = to.locals.is_busy();
             let received = tokio::select! {
                 // Biased, so that arriving messages do not starve the timers.
@@ -101,6 +108,12 @@ impl Route {
                         let Some(Some(message)) = next.now_or_never() else { break };
                         self.take(to, message).await;
                     }
+                    for (whose, local) in to.locals.all() {
+                        let written = local.made_mut().and_then(|made| made.last_write());
+                        if let (Some((writer, _)), Some(at)) = (whose, written) {
+                            to.incoming.refresh(writer, at);
+                        }
+                    }
                     for event in to.incoming.poll(Instant::now()) {
                         self.on_event(to, event).await;
                     }
@@ -115,6 +128,17 @@ impl Route {
                 None => return ended_because(subscription.ended().await),
             }
         }
+    }
+
+    /// Returns the direct path of messages to the present writers.
+    fn direct_in(&self, to: &mut In<'_>) -> direct::Inward {
+        let In { locals, incoming, .. } = to;
+        let direct = locals.all().filter_map(|(whose, local)| {
+            let (writer, number) = (*whose)?;
+            let session = incoming.session(&writer, number)?;
+            Some(((writer, session, number), local.direct(&self.types)?))
+        });
+        direct::Inward { locals: direct.collect(), siblings: to.candidate.siblings(), counters: self.counters.clone() }
     }
 
     async fn take(&self, to: &mut In<'_>, message: Message) {
@@ -149,6 +173,7 @@ impl Route {
         if changes.is_empty() {
             return;
         }
+        to.is_direct = false;
         for mut change in changes {
             if let Change::Joined { node, .. } = &mut change {
                 *node = local_node(&self.config.topic, to.listed, node).into();
@@ -165,6 +190,7 @@ impl Route {
     /// Does the periodic work: creates due writers, writes messages that need not wait any longer,
     /// and drops writers whose time is over.
     async fn look(&self, to: &mut In<'_>) {
+        to.is_direct = false;
         self.make(to).await;
         let now = Instant::now();
         for made in to.locals.made() {

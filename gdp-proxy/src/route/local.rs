@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use gdp_e2e::seal::Message;
 use gdp_util::backoff::Backoff;
 
+use super::direct::{DirectLocal, LastWrite};
 use super::format::Inbound;
 use super::pending_match::PendingMatch;
 use crate::graph::{WriteError, Writer};
@@ -59,7 +60,7 @@ pub struct Made {
     format: Inbound,
     /// Messages as they arrived: compressed ones may be much smaller.
     pending_match: Option<PendingMatch<Message>>,
-    written: Option<Instant>,
+    written: LastWrite,
 }
 
 /// Reason and text of a message that was not written.
@@ -162,6 +163,14 @@ impl Local {
         }
     }
 
+    /// Returns the direct path of messages, if there is a writer and no history.
+    pub fn direct(&mut self, types: &Types) -> Option<DirectLocal> {
+        match &mut self.state {
+            LocalState::Made(made) if latched_depth(&self.offers) == 0 => made.direct(types),
+            _ => None,
+        }
+    }
+
     /// Returns the bytes of the history and of the messages that wait for subscribers.
     pub fn bytes(&self) -> usize {
         match &self.state {
@@ -204,7 +213,13 @@ impl Local {
 
 impl Made {
     pub fn new(now: Instant, writer: Writer, offers: Offer, format: Inbound) -> Self {
-        Self { writer, offers, format, pending_match: Some(PendingMatch::new(now, offers.reliable)), written: None }
+        Self {
+            writer,
+            offers,
+            format,
+            pending_match: Some(PendingMatch::new(now, offers.reliable)),
+            written: Arc::default(),
+        }
     }
 
     /// Writes a message, or queues it until subscribers have matched.
@@ -221,6 +236,19 @@ impl Made {
             }
         }
         Ok(())
+    }
+
+    /// Returns the direct path of messages, unless they must be converted or wait for subscribers.
+    pub fn direct(&mut self, types: &Types) -> Option<DirectLocal> {
+        if self.pending_match.is_some() || !self.format.is_unchanged(types) {
+            return None;
+        }
+        Some(DirectLocal { writer: self.writer.immediate_writer()?, written: self.written.clone() })
+    }
+
+    /// Returns the time of the last message that was written.
+    pub fn last_write(&self) -> Option<Instant> {
+        *self.written.lock()
     }
 
     /// Whether messages are queued until subscribers have matched.
@@ -259,7 +287,7 @@ impl Made {
 
     /// Whether the writer may be dropped, after its publisher has gone.
     pub fn is_over(&self, now: Instant) -> bool {
-        self.pending_match.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
+        self.pending_match.is_none() && self.last_write().is_none_or(|written| now >= written + LINGER)
     }
 
     async fn write(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
@@ -267,7 +295,7 @@ impl Made {
         let bytes = self.format.convert(types, message).map_err(|why| (Drop::Unconvertible, why))?;
         let length = bytes.len();
         let result = self.writer.write(bytes, timestamp_ns).await;
-        self.written = Some(Instant::now());
+        *self.written.lock() = Some(Instant::now());
         match result {
             Ok(()) => {
                 counters.passed(length, carried);

@@ -95,6 +95,11 @@ impl Locals {
         due.into_iter().take_while(|_| self.budget.take(now)).collect()
     }
 
+    /// Returns the publishers that have a local writer or wait for one.
+    pub fn all(&mut self) -> impl Iterator<Item = (&Whose, &mut Local)> {
+        self.by.iter_mut()
+    }
+
     /// Returns all existing writers, including those that stay after their publisher.
     pub fn made(&mut self) -> impl Iterator<Item = &mut Made> {
         self.by.values_mut().filter_map(Local::made_mut).chain(&mut self.leaving)

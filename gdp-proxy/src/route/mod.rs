@@ -1,8 +1,9 @@
 //! One topic in one direction. Each route is a task of its own; [`offload`](crate::offload) keeps
-//! long work from blocking the others. Within a route a message goes straight from one side to the
-//! other, without a queue or a wake-up in between. A route whose certificate is no longer valid
+//! long work from blocking the others. Small messages that need no conversion pass the task by
+//! ([`direct`]). A route whose certificate is no longer valid
 //! retries, and the other routes go on.
 
+mod direct;
 mod format;
 mod inward;
 mod local;
@@ -43,7 +44,7 @@ pub struct Route {
     graph: String,
     side: Side,
     types: Arc<Types>,
-    counters: RouteCounters,
+    counters: Arc<RouteCounters>,
     route_status: RouteStatus,
     /// The counters of the route's publisher or subscription in the fabric.
     fabric: Mutex<FabricCounters>,
@@ -77,7 +78,7 @@ impl Carries for Route {
             graph: graph.into(),
             side: material.permission.side(),
             types,
-            counters: RouteCounters::default(),
+            counters: Arc::default(),
             route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
             fabric: Mutex::new(FabricCounters::None),
         }

@@ -13,8 +13,8 @@ use tokio::runtime::Handle;
 
 use super::format::Outbound;
 use super::pace::Pace;
-use super::{Published, Route, Way};
-use crate::graph::{Arrived, Event, GraphError, Key, Reader};
+use super::{Published, Route, Way, direct};
+use crate::graph::{ArrivalSink, Arrived, Event, GraphError, Key, Reader};
 use crate::offload::is_large;
 use crate::qos_mapping::publish_options;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
@@ -79,7 +79,9 @@ impl Route {
             self.show_out("up", &out.incompatible_publishers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched_depth(&offers)));
             out.wait_for_reader(new).await?;
-            let turn = self.carry_out(&mut out, new, right).await?;
+            let turn = self.carry_out(&mut out, new, right).await;
+            out.reader.set_sink(None);
+            let turn = turn?;
             let published = publisher.take();
             match turn {
                 Turn::More => {
@@ -162,6 +164,7 @@ impl Route {
         right: &mut Right<Issued<AdCert>>,
     ) -> Result<Turn, RouteError> {
         let (mut told, mut ticks, mut ended) = (BTreeSet::new(), ticks(), pin!(publisher.ended()));
+        let mut is_direct = false;
         loop {
             if let Some(error) = publisher.feedback().last()
                 && told.insert(error.code.as_str())
@@ -169,6 +172,10 @@ impl Route {
                 self.tell(error);
             }
             self.announce(out, publisher);
+            // After the roster, which names the publishers.
+            if !std::mem::replace(&mut is_direct, true) {
+                out.reader.set_sink(self.direct_out(out, publisher).as_ref());
+            }
             let due = out.pace.next().into_iter().chain(out.roster.due()).min();
             let event = tokio::select! {
                 event = out.next() => event?,
@@ -186,6 +193,7 @@ impl Route {
                     continue;
                 }
             };
+            is_direct = matches!(event, Event::Message(_) | Event::Liveliness { .. } | Event::Unreadable(_));
             match event {
                 Event::Joined { key, kind, node, offers } => {
                     if !kind.agrees(&out.kind) {
@@ -251,6 +259,15 @@ impl Route {
         let (goes, replaced) = out.pace.take(Instant::now(), arrived.from, arrived);
         self.counters.dropped(Drop::MaxHz, replaced);
         goes
+    }
+
+    /// Returns the direct path of messages, unless they must be converted or limited in their rate.
+    fn direct_out(&self, out: &Out<'_>, publisher: &Publisher) -> Option<ArrivalSink> {
+        let encoding = out.format.unchanged().filter(|_| self.config.max_hz.is_none())?;
+        let numbers = out.roster.numbers().filter(|(key, _)| !out.incompatible_publishers.contains_key(key));
+        let origins = numbers.map(|(key, number)| (*key, roster::origin(number))).collect();
+        let (sender, counters) = (publisher.immediate_sender(), self.counters.clone());
+        Some(direct::Outward { sender, encoding, origins, counters }.into_sink())
     }
 
     /// Sends a roster, if one is due.

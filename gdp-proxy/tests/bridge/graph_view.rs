@@ -3,7 +3,7 @@
 use gdp_tests::dds_domain::lease;
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::peer::{Peer, Vendor};
 use crate::site::Site;
@@ -32,9 +32,11 @@ async fn far_nodes_appear_with_their_endpoints_types_and_parameters() {
     let _driver = Peer::topic(Vendor::Rclpy, "talk", near, &options);
     let mut seen = Peer::graph(far, Some("/robot7/camera/driver"));
 
-    // As `ros2 param list` and `ros2 param get` do.
+    // As `ros2 param list`, `get`, `set` and `get` do.
     let parameters = seen.event("parameters").await;
-    assert_eq!(parameters["use_sim_time"], false, "{parameters}: {} {}", site.log("robot"), site.log("cloud"));
+    let is_listed = parameters["names"].as_array().is_some_and(|names| names.contains(&"use_sim_time".into()));
+    assert!(is_listed, "{parameters}: {} {}", site.log("robot"), site.log("cloud"));
+    assert_eq!(parameters["use_sim_time"], json!([false, true]), "{parameters}");
 
     let driver = "/robot7/camera/driver";
     let list_parameters = format!("{driver}/list_parameters");

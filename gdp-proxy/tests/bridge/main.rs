@@ -7,6 +7,7 @@
 
 mod actionlib;
 mod automatic;
+mod direct;
 mod floods;
 mod frames;
 mod graph_view;

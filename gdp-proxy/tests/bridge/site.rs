@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp::{Node, NodeConfig, PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::serve::{Running, start};
 use gdp_tests::programs::own;
@@ -243,8 +243,8 @@ impl Topic {
     }
 
     fn signed_ad_cert(&self, entity: Name) -> gdp_core::cert::Signed<AdCert> {
-        let (name, mode, scope, serial) = (self.card.name(), Mode::Multicast, vec![], now());
-        let cert = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
+        let (name, scope, serial) = (self.card.name(), vec![], now());
+        let cert = AdCert { name, entity, scope, serial, not_before: 0, not_after: u64::MAX };
         issue(&self.owner, &cert).unwrap()
     }
 

@@ -20,7 +20,7 @@ fn a_route_is_as_well_as_its_status_says() {
 #[tokio::test]
 async fn what_was_counted_is_known_of_the_routes_that_are_there() {
     let entity = Name::from_bytes([7; 32]);
-    let ticks = tokio::time::interval(PERIOD);
+    let ticks = Ticks::new(PERIOD);
     let mut diagnostics = Diagnostics { entity, outlets: vec![], pending: vec![], ticks, before: Before::new() };
     let route = |topic: &str, messages| RouteStats {
         topic: topic.into(),

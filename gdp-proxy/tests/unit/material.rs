@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::ros2::TopicName;
-use gdp_core::cert::{AdCert, Delegation, Grantee, Issued, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Delegation, Grantee, Issued, MemberCert, Membership, ReadGrant, issue};
 use gdp_util::unix_time::unix_seconds;
 use std::fs;
 use std::path::PathBuf;
@@ -169,7 +169,7 @@ impl Files {
 
     pub fn claims(&self) -> AdCert {
         let (name, entity) = (self.card.name(), self.entity);
-        AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 1, not_before: 0, not_after: u64::MAX }
+        AdCert { name, entity, scope: vec![], serial: 1, not_before: 0, not_after: u64::MAX }
     }
 
     /// One topic out and one in; `extra` is said of the one that goes out.

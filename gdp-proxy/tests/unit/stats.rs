@@ -10,7 +10,7 @@ use crate::config::What;
 /// Of version 5.
 const KEYS: [&str; 10] = [
     "calls catalogs entity links node switch topics version",
-    "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
+    "bytes bytes_carried direct direction drops fabric graph latency_us messages name status topic type",
     "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable \
      write_failed",
     "arrival handling",

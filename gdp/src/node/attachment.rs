@@ -30,7 +30,11 @@ pub struct Attachment {
     /// The network path to the switch when the link was made.
     pub path: NetworkPath,
     pub since: Instant,
+    /// Number of frames sent, and of those without a message among them.
     pub count: AtomicU64,
+    own_frames: AtomicU64,
+    /// Number of data frames received.
+    pub data_received: Arc<AtomicU64>,
     /// The cookie of the latest answer to an echo.
     pub answer: AtomicU64,
     /// Whether the switch reports path costs.
@@ -40,20 +44,20 @@ pub struct Attachment {
 impl Attachment {
     pub fn new(lane: u8, link: Link, path: NetworkPath, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
-        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        let reported_costs = AtomicBool::new(false);
         Self {
             lane,
             entry,
             link,
             data,
             largest,
-            frame_size,
+            frame_size: FrameSize::default(),
             path,
             since: Instant::now(),
-            count,
-            answer,
-            reported_costs,
+            count: AtomicU64::new(0),
+            own_frames: AtomicU64::new(0),
+            data_received: Arc::default(),
+            answer: AtomicU64::new(0),
+            reported_costs: AtomicBool::new(false),
         }
     }
 
@@ -62,8 +66,15 @@ impl Attachment {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
+    /// Returns the number of data frames that were sent and received.
+    pub fn data_frames(&self) -> u64 {
+        let sent = self.count.load(Ordering::Relaxed).wrapping_sub(self.own_frames.load(Ordering::Relaxed));
+        sent.wrapping_add(self.data_received.load(Ordering::Relaxed))
+    }
+
     /// Sends a frame without a payload to the switch itself. The frame is not retransmitted.
     pub fn send(&self, mut header: Header) {
+        self.own_frames.fetch_add(1, Ordering::Relaxed);
         hop::stamp(&mut header, &self.entry.get(), self.next_count());
         self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
     }

@@ -78,6 +78,11 @@ impl Pulse {
         self.open.add(cookie, MISSES);
         silent
     }
+
+    /// Returns whether an echo before the last one is unanswered.
+    pub fn has_missed(&self) -> bool {
+        self.open.count() > 1
+    }
 }
 
 #[cfg(test)]

@@ -6,11 +6,12 @@ use std::time::Instant;
 use gdp_wire::Name;
 
 use super::attachment::Attachment;
-use super::links::Links;
 use super::statement::Stated;
 use super::subscription_receiver::{Change, SubscriptionReceiver};
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::name::NameProof;
+use gdp_link::link::LinkError;
+use gdp_link::port::WakeFd;
 
 /// An update of the RIB that the supervisor sends.
 pub enum RibUpdate {
@@ -52,21 +53,33 @@ pub enum Command {
 /// The sending end of the commands to the receiving thread. Clones share it.
 #[derive(Clone)]
 pub struct Commands {
+    // Dropped first, so that the thread finds the queue closed when it wakes.
     sender: mpsc::Sender<Command>,
-    links: Arc<Links>,
+    wake: WakeOnDrop,
+}
+
+#[derive(Clone)]
+struct WakeOnDrop(Arc<WakeFd>);
+
+impl Drop for WakeOnDrop {
+    fn drop(&mut self) {
+        self.0.set();
+    }
 }
 
 impl Commands {
-    /// `links`: the thread waits for frames on one of these links.
-    pub fn new(sender: mpsc::Sender<Command>, links: Arc<Links>) -> Self {
-        Self { sender, links }
+    /// Returns the sending end, and the queue and the event of the thread.
+    pub fn new() -> Result<(Self, mpsc::Receiver<Command>, Arc<WakeFd>), LinkError> {
+        let (sender, queue) = mpsc::channel();
+        let what = || "an event of the receiving thread".to_owned();
+        let wake = WakeFd::new().map_err(|source| LinkError::Io { what: what(), source })?;
+        let wake = Arc::new(wake);
+        Ok((Self { sender, wake: WakeOnDrop(wake.clone()) }, queue, wake))
     }
 
     pub fn send(&self, command: Command) {
         // The thread ends only when this node closes.
         let _ = self.sender.send(command);
-        if let Ok(attachment) = self.links.sending_on() {
-            attachment.data.wake();
-        }
+        self.wake.0.set();
     }
 }

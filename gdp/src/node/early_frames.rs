@@ -72,6 +72,11 @@ impl EarlyFrames {
         released
     }
 
+    /// Returns the time when the next frame will have waited too long.
+    pub fn next_expiry(&self) -> Option<Instant> {
+        self.frames.front().map(|frame| frame.since + TIMEOUT)
+    }
+
     /// Removes the next frame that has waited too long. Returns its name, why it waited, and the
     /// number of drops to count.
     pub fn next_expired(&mut self) -> Option<(Name, (DropReason, u64))> {

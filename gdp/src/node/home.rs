@@ -2,11 +2,11 @@
 //! of switches.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
-use tokio::time::sleep;
+use tokio::sync::watch;
+use tokio::time::sleep_until;
 
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::domain::{Admission, Credentials, CurrentCredentials, DomainError, Trust};
@@ -15,17 +15,19 @@ use gdp_core::name::NameProof;
 use gdp_core::peer::Role;
 use gdp_core::revocations::SignedRevocation;
 use gdp_link::link::Link;
+use gdp_util::ticks::next_tick;
 use gdp_util::unix_time::unix_seconds;
 
-/// Interval of the checks whether a link's admission has ended.
-const LOOK: Duration = Duration::from_millis(250);
+/// Interval of the checks whether a link's admission has ended. Its end is a time of the wall
+/// clock, which may step.
+const LOOK: Duration = Duration::from_secs(1);
 
 pub struct Home {
     trust: Option<Mutex<Trust>>,
     /// The credentials, shared with the ports of the node's links.
     pub credentials: CurrentCredentials,
-    /// Increases with every change that may affect an admission.
-    changes: AtomicU64,
+    /// Notified of every change that may affect an admission.
+    changes: watch::Sender<()>,
 }
 
 impl Home {
@@ -40,7 +42,7 @@ impl Home {
             }
             None => None,
         };
-        Ok(Self { trust, credentials, changes: AtomicU64::new(0) })
+        Ok(Self { trust, credentials, changes: watch::Sender::default() })
     }
 
     /// Checks whether the switch at the other end may have the link.
@@ -98,20 +100,25 @@ impl Home {
 
     /// Closes the link, with the reason, when its admission expires or is revoked.
     pub async fn watch(&self, link: &Link) {
-        let (mut until, mut seen) = (0, 0);
+        let (mut until, mut changes) = (0, self.changes.subscribe());
+        changes.mark_changed();
         loop {
-            let changes = self.changes.load(Ordering::Relaxed);
-            if unix_seconds() > until || changes != seen {
+            if unix_seconds() > until || changes.has_changed().unwrap_or(false) {
+                changes.mark_unchanged();
                 match self.admit(link) {
-                    Ok(admission) => (until, seen) = (admission.until, changes),
+                    Ok(admission) => until = admission.until,
                     Err(error) => return link.close(&error.to_string()),
                 }
             }
-            sleep(LOOK).await;
+            // The sender lives as long as this.
+            tokio::select! {
+                () = sleep_until(next_tick(LOOK, Instant::now()).into()) => {}
+                _ = changes.changed() => changes.mark_changed(),
+            }
         }
     }
 
     fn changed(&self) {
-        self.changes.fetch_add(1, Ordering::Relaxed);
+        self.changes.send_replace(());
     }
 }

@@ -1,6 +1,7 @@
 //! The links that a socket of the receiving thread has: the current one, and stale ones on which
 //! frames are still in flight.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Instant;
 
@@ -51,6 +52,16 @@ impl Ingresses {
         stale.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
+    /// Removes the stale links whose time is over.
+    pub fn expire(&mut self, now: Instant) {
+        self.stale.retain(|(_, until)| now < *until);
+    }
+
+    /// Returns the time when the next stale link is removed.
+    pub fn next_expiry(&self) -> Option<Instant> {
+        self.stale.iter().map(|(_, until)| *until).min()
+    }
+
     /// Returns the link that a frame's id names. Other frames are assigned to the current link,
     /// which refuses them.
     pub fn of(&self, header: &Header) -> &Ingress {
@@ -65,17 +76,24 @@ pub struct Ingress {
     /// A copy of the shared entry for the current batch.
     pub entry: KeyedEntry,
     pub window: Box<Window>,
+    /// Number of data frames received, for the attachment.
+    pub data_received: Arc<AtomicU64>,
     /// The attachment for answers, as long as the node sends on the link.
     attachment: Weak<Attachment>,
 }
 
 impl Ingress {
-    pub fn new(shared: SharedEntry, attachment: Weak<Attachment>) -> Self {
-        Self { entry: shared.get(), shared, window: Box::new(replay::empty()), attachment }
+    pub fn new(shared: SharedEntry, attachment: Weak<Attachment>, data_received: Arc<AtomicU64>) -> Self {
+        Self { entry: shared.get(), shared, window: Box::new(replay::empty()), data_received, attachment }
     }
 
     pub fn of(attachment: &Arc<Attachment>) -> Self {
-        Self::new(attachment.entry.clone(), Arc::downgrade(attachment))
+        Self::new(attachment.entry.clone(), Arc::downgrade(attachment), attachment.data_received.clone())
+    }
+
+    /// Counts a data frame. Only the receiving thread calls it.
+    pub fn count_data(&self) {
+        self.data_received.store(self.data_received.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
     }
 
     /// Processes a frame from the switch to this node itself.

@@ -31,6 +31,11 @@ const RENEWAL: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 const MAIN_ECHOES: Duration = Duration::from_millis(100);
 const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
+/// The interval on a link without data for [`RECENT`], while all echoes are answered. A failure is
+/// then noticed a second later.
+const IDLE_ECHOES: Duration = Duration::from_secs(1);
+const RECENT: Duration = Duration::from_secs(10);
+
 /// Sends the node's statements to the RIB. Repeats them after a temporary refusal, after a
 /// withdrawal that also removed them, and before they expire.
 pub async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
@@ -77,12 +82,22 @@ async fn prefer(state: &State, attachment: &Attachment) -> bool {
 /// one is up.
 pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>) {
     let mut pulse = Pulse::default();
+    let (mut frames, mut busy_until) = (0, Instant::now());
     loop {
+        let now = Instant::now();
+        let frames_now = attachment.data_frames();
+        if std::mem::replace(&mut frames, frames_now) != frames_now {
+            busy_until = now + RECENT;
+        }
         let cookie = crypto::random().map_or(0, u64::from_le_bytes);
         let is_silent = pulse.beat(attachment.answer.load(Ordering::Relaxed), cookie);
         attachment.send(Header::echo(cookie));
         send_path.set_silent(attachment.lane.into(), is_silent);
-        let pause = if send_path.links.is_main(&attachment) { MAIN_ECHOES } else { OTHER_ECHOES };
+        let pause = match send_path.links.is_main(&attachment) {
+            _ if now >= busy_until && !pulse.has_missed() => IDLE_ECHOES,
+            true => MAIN_ECHOES,
+            false => OTHER_ECHOES,
+        };
         sleep(pause.max(attachment.link.rtt())).await;
     }
 }

@@ -11,6 +11,7 @@ use super::ending::Ended;
 use super::error::{NodeError, Unflushed};
 use super::feedback::Feedback;
 use super::handle::Handle;
+use super::immediate_sender::ImmediateSender;
 use super::publication::Publication;
 use super::sealer::Pushed;
 use super::send_path::SendPath;
@@ -58,6 +59,13 @@ impl Publisher {
     pub fn meter(&self) -> Meter<PublisherCounters> {
         let (publication, feedback) = (self.publication.clone(), self.feedback.clone());
         Meter::new(move || counters(&publication, &feedback))
+    }
+
+    /// Returns a sender of this name for other threads. It sends nothing after the publisher was
+    /// dropped.
+    pub fn immediate_sender(&self) -> ImmediateSender {
+        let state = &self.node.state;
+        ImmediateSender::new(self.publication.clone(), state.send_path.clone(), state.counters.clone())
     }
 
     /// Waits until nothing can be sent any more, and returns the reason.

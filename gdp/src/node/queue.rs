@@ -1,5 +1,6 @@
 //! The queue of verified messages between the receiving thread and a handle.
 
+use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -25,7 +26,8 @@ impl Queue {
 
     /// Returns the next message, or `None` at the end. Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
-        let message = self.receiver.recv().await?;
+        let Self { receiver, shared, .. } = self;
+        let message = poll_fn(|context| shared.direct.poll_next(receiver, context)).await?;
         self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
         if self.shared.stalled.load(Ordering::Relaxed) && self.receiver.len() <= self.receiver.max_capacity() / 2 {
             self.commands.send(Command::Resume { name: self.name });

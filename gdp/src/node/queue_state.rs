@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 use super::counters::SubscriptionCounters;
+use super::sink::DirectPath;
 use gdp_e2e::seal::DropReason;
 use gdp_e2e::transport::InboundCounters;
 
@@ -17,6 +18,8 @@ pub struct QueueState {
     /// Number of writers that offer less than the reader requests.
     pub incompatible: AtomicUsize,
     pub counters: ReadCounters,
+    /// The path of messages past the queue.
+    pub direct: DirectPath,
 }
 
 impl QueueState {

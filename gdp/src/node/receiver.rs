@@ -23,10 +23,10 @@ use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::PairError;
 use gdp_e2e::seal::{DropReason, SEGMENT_VERSION};
-use gdp_link::port::{DataSocket, InFrame, RecvBatch};
+use gdp_link::port::{DataSocket, InFrame, RecvBatch, WakeFd};
 
-/// Maximum sleep of the thread.
-const TICK: Duration = Duration::from_millis(100);
+/// Maximum sleep of the thread, if nothing is due earlier.
+const LONGEST_SLEEP: Duration = Duration::from_secs(3600);
 
 /// Number of frames of a socket after which timers are looked at, and commands.
 const MOST_FRAMES: usize = 2048;
@@ -45,6 +45,8 @@ const CONGESTED: u8 = 0b11;
 
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
+    /// Set after a command was queued.
+    pub wake: Arc<WakeFd>,
     pub send_path: Arc<SendPath>,
     pub feedback: Arc<Feedbacks>,
 }
@@ -56,18 +58,10 @@ impl Receiver {
         // Indexed by lane.
         let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
-        let mut next_tick = Instant::now() + TICK;
         let mut rest = Rest::default();
         loop {
             loop {
-                let command = match attached.iter().any(Option::is_some) {
-                    true => self.commands.try_recv(),
-                    false => self.commands.recv_timeout(TICK).map_err(|error| match error {
-                        mpsc::RecvTimeoutError::Timeout => mpsc::TryRecvError::Empty,
-                        mpsc::RecvTimeoutError::Disconnected => mpsc::TryRecvError::Disconnected,
-                    }),
-                };
-                match command {
+                match self.commands.try_recv() {
                     Ok(Command::Attach { attachment, stale }) => {
                         let place = &mut attached[usize::from(attachment.lane)];
                         let earlier = place.take().map(|socket| socket.links);
@@ -124,24 +118,17 @@ impl Receiver {
                 std::hint::spin_loop();
                 continue;
             }
-            let mut sockets = attached.iter().flatten().map(|socket| &*socket.data);
-            if !received && sockets.clone().next().is_some() {
-                let waited = match (sockets.next(), sockets.next()) {
-                    (Some(only), None) => only.wait_readable(subscriptions.idle()).map(drop),
-                    _ => DataSocket::wait_any(
-                        attached.iter().flatten().map(|socket| &*socket.data),
-                        subscriptions.idle(),
-                    ),
-                };
-                if waited.is_err() {
+            if !received {
+                let sockets = attached.iter().flatten();
+                let expiry = sockets.clone().filter_map(|socket| socket.links.next_expiry()).min();
+                let idle = subscriptions.idle(expiry);
+                if DataSocket::wait_any(sockets.map(|socket| &*socket.data), &self.wake, idle).is_err() {
                     attached = Default::default();
                     continue;
                 }
-            }
-            if Instant::now() >= next_tick {
-                next_tick = Instant::now() + TICK;
-                let all = attached.iter_mut().flatten();
-                all.for_each(|socket| socket.links.stale.retain(|(_, until)| Instant::now() < *until));
+                if let Some(now) = expiry.map(|_| Instant::now()) {
+                    attached.iter_mut().flatten().for_each(|socket| socket.links.expire(now));
+                }
             }
         }
     }
@@ -272,6 +259,7 @@ impl Subscriptions {
                 }
                 continue;
             }
+            link.count_data();
             let (name, source) = (header.destination, header.source);
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
@@ -401,10 +389,13 @@ impl Subscriptions {
         }
     }
 
-    /// Returns the time until the next work is due.
-    fn idle(&self) -> Duration {
-        let next = self.timers.first().map_or(u64::MAX, |(at, _)| *at);
-        Duration::from_nanos(next.saturating_sub(self.send_path.clock.now())).min(TICK)
+    /// Returns the time until the next work is due. `other`: the time of work elsewhere.
+    fn idle(&self, other: Option<Instant>) -> Duration {
+        let timer = self.timers.first().map(|(at, _)| *at);
+        let timer = timer.map(|at| Duration::from_nanos(at.saturating_sub(self.send_path.clock.now())));
+        let expiries = [self.early.next_expiry(), other].into_iter().flatten();
+        let expiries = expiries.map(|at| at.saturating_duration_since(Instant::now()));
+        expiries.chain(timer).min().unwrap_or(LONGEST_SLEEP)
     }
 }
 

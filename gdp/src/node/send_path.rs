@@ -136,8 +136,18 @@ impl SendPath {
 
     /// Sends frames that may leave now. The sending thread sends the rest.
     pub fn send(&self) {
+        self.send_batches(OWN_BATCHES);
+    }
+
+    /// Sends as [`Self::send`], but at most one batch. For threads that must not be long away from
+    /// other work.
+    pub fn send_one_batch(&self) {
+        self.send_batches(1);
+    }
+
+    fn send_batches(&self, batches: usize) {
         let next = match self.sender.try_lock() {
-            Some(mut sender) => self.drain(&mut sender, OWN_BATCHES),
+            Some(mut sender) => self.drain(&mut sender, batches),
             // The current sender may already have polled.
             None => Some(0),
         };

@@ -81,7 +81,7 @@ impl State {
         home: Home,
         links: &[LinkConfig],
         revoked: Revoked,
-        commands: std::sync::mpsc::Sender<Command>,
+        commands: Commands,
         rib_updates: mpsc::UnboundedSender<RibUpdate>,
     ) -> Self {
         let counters = Arc::<Counters>::default();
@@ -101,7 +101,7 @@ impl State {
             counterparts: Mutex::default(),
             revoked,
             serial: tokio::sync::Mutex::default(),
-            commands: Commands::new(commands, send_path.links.clone()),
+            commands,
             rib_updates,
             network_changes: watch::Sender::default(),
             send_path,

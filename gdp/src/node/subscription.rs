@@ -8,6 +8,7 @@ use super::ending::{Ended, Ending};
 use super::error::NodeError;
 use super::handle::Handle;
 use super::queue::Queue;
+use super::sink::MessageSink;
 use super::statement::{Stated, Statement};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;
@@ -32,6 +33,13 @@ impl Subscription {
     /// ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         self.queue.recv().await
+    }
+
+    /// Sets a function that takes messages on the receiving thread, before they are queued. It is
+    /// asked only while [`Self::recv`] waits and nothing is queued, so that messages stay in their
+    /// order. `None` queues all messages.
+    pub fn set_sink(&mut self, sink: Option<MessageSink>) {
+        self.queue.shared.direct.set(sink);
     }
 
     /// Waits until receiving ends, and returns the reason.
@@ -63,6 +71,7 @@ impl Subscription {
 
 impl Drop for Subscription {
     fn drop(&mut self) {
+        self.set_sink(None);
         self.node.state.withdraw(self.queue.name, Stated::Subscribed);
     }
 }

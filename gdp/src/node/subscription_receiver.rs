@@ -20,7 +20,7 @@ use gdp_core::identity::VerifyKey;
 use gdp_e2e::feedback_wire::{Feedback, Wants};
 use gdp_e2e::keys::Opened;
 use gdp_e2e::seal::{DropReason, Message, Reader, Received, Timestamps, segment_ids};
-use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Position, Segment};
+use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Segment};
 
 /// A change of a reader's writers and keys.
 #[derive(Debug)]
@@ -189,7 +189,8 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion.
+    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion. The
+    /// mark counts if the frame turns out to be of the writer's session.
     pub fn push(
         &mut self,
         now: Timestamps,
@@ -201,13 +202,10 @@ impl SubscriptionReceiver {
         let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
         let steady = now.steady_ns;
         if let Some(Session { id, inbound, reliable, .. }) = &mut writer.session {
-            if marked {
-                inbound.congested();
-            }
             // The writer retransmits what does not fit. Opening it would count it as delivered.
             let most = inbound.next_sequence().saturating_add(REACH);
             let is_beyond = |id: [u8; 16], sequence| {
-                segment_ids(payload).any(|segment| segment.session == id && segment.sequence >= sequence)
+                segment_ids(payload).any(|segment| segment.session == id && segment.last() >= sequence)
             };
             if *reliable && (!self.stalled.is_empty() || is_beyond(*id, most)) {
                 counters.beyond.add(1);
@@ -231,10 +229,16 @@ impl SubscriptionReceiver {
             received.clear();
             return verdict;
         };
+        // Hop tags do not cover the source between switches. Only what opened shows that the frame
+        // is this writer's, and that the mark is for it.
+        let mut sessions = received.segments.iter().chain(&received.repeated).map(|segment| segment.session);
+        if marked && (sessions.any(|of| of == *id) || received.heartbeats.iter().any(|beat| beat.session == *id)) {
+            inbound.congested();
+        }
         // Includes repeated segments: after a lost report, the writer must learn that they have
         // arrived. Segments that did not open are unauthenticated and do not count.
         for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
-            inbound.segment(steady, &as_segment(segment));
+            Segment::of(segment).for_each(|part| _ = inbound.segment(steady, &part));
         }
         for lost in received.lost.iter().filter(|lost| lost.session == *id) {
             if lost.again {
@@ -405,6 +409,10 @@ impl Out<'_> {
         if queued > 0 && queued.saturating_add(length) > self.options.queue_bytes {
             return Some(message);
         }
+        let Some(message) = self.shared.direct.pass(message, self.queue) else {
+            counters.messages_received.add(1);
+            return None;
+        };
         match self.queue.try_reserve() {
             Ok(place) => {
                 // Counted first, because the recipient of the message may read the counters.
@@ -421,11 +429,6 @@ impl Out<'_> {
 /// How far beyond the first missing message others are accepted: the size of the reader's replay
 /// window.
 const REACH: u64 = 1024;
-
-fn as_segment(id: &gdp_e2e::seal::SegmentId) -> Segment {
-    let position = Position { sequence: id.sequence, index: id.index };
-    Segment { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
-}
 
 #[cfg(test)]
 #[path = "../../tests/unit/node/subscription_receiver.rs"]

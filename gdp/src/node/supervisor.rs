@@ -74,7 +74,6 @@ pub async fn run(
     }
     state.close();
     state.revoked.save();
-    // In this order, because the command wakes the thread through a link.
     state.commands.send(Command::Stop);
     state.send_path.shut();
     ending.send_replace(true);

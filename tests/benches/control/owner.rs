@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::time::SystemTime;
 
 use anyhow::Result;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, Signed, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, ReadGrant, Reading, RtCert, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::name::{NameProof, derive};
 use gdp_proto::control::EntityRequest;
@@ -58,8 +58,8 @@ impl Owner {
         scope: Vec<Name>,
     ) -> Result<EntityRequest> {
         let (name, not_after) = (self.name(number), self.now + u64::from(LIFETIME));
-        let (mode, not_before, entity_name) = (Mode::Multicast, self.now, entity.name());
-        let cert = AdCert { name, entity: entity_name, mode, scope, serial: 1, not_before, not_after };
+        let (not_before, entity_name) = (self.now, entity.name());
+        let cert = AdCert { name, entity: entity_name, scope, serial: 1, not_before, not_after };
         let ad_cert: Issued<AdCert> = issue(&self.key, &cert)?.into();
         let advert = advert(AdvertOp::Publish, name, entity, switch, serial)?;
         Ok(EntityRequest::Advertise { proof: self.proof(number), ad_cert, advert, everywhere: false })

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::Result;
 use gdp::{Node, NodeConfig, PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 use tokio::sync::oneshot;
@@ -71,7 +71,7 @@ fn open(
         let (name, serial, not_before, not_after) = (card.name(), 1, 0, 4_000_000_000);
         let grant = ReadGrant { name, to: Grantee::Entity(reader), serial, not_before, not_after };
         let grant = issue(&owner, &grant)?.into();
-        let cert = AdCert { name, entity: writer, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+        let cert = AdCert { name, entity: writer, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
 
         let (node, proof) = (cloud.clone(), card.proof());

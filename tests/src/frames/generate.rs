@@ -168,7 +168,7 @@ impl Generator {
         if random.one_in(5) {
             match random.below(10) {
                 0 => frame.version_type = random.word() as u8,
-                1..=3 => frame.version_type = random.one_of(&[0x11, 0x12, 0x13, 0x14, 0x14]),
+                1..=3 => frame.version_type = random.one_of(&[0x11, 0x22, 0x23, 0x24, 0x24]),
                 4 => frame.flags = random.word() as u8,
                 5 => frame.flags = 0x80,
                 6 => frame.header_words = random.one_of(&[0, 1, 11, 13, 255]),

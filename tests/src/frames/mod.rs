@@ -52,7 +52,7 @@ impl Default for Frame {
             from_mac: [0x02, 0, 0, 0, 0, 0x01],
             ethertype: 0x88b5,
             carrier: Carrier::Ethernet,
-            version_type: 0x10,
+            version_type: 0x20,
             flags: 0,
             hop_limit: 64,
             egress_set: 0,
@@ -110,14 +110,14 @@ impl Frame {
     }
 }
 
-/// Returns the hop tag: SipHash-2-4 over the header without bytes 16 to 23, the tag's own field.
-/// The link id is first XORed with the high half of the link counter.
+/// Returns the hop tag: SipHash-2-4 over bytes 0 to 15 and 24 to 63 of the header. The link id is
+/// first XORed with the high half of the link counter.
 pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
     let mut header = *header;
     for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {
         *byte ^= high;
     }
     let word = |i: usize| u64::from_le_bytes(header[i * 8..i * 8 + 8].try_into().expect("eight bytes"));
-    let words: [u64; 11] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
+    let words: [u64; 7] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
     siphash24(key, &words)
 }

@@ -14,7 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
@@ -227,9 +227,9 @@ impl Site {
         let card = NameCard::create(owner.verify_key(), "topic", "/camera", "T", None)?;
         let (robot, cloud) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
         let (name, serial, not_before, not_after) = (card.name(), 1, 0, 4_000_000_000);
-        let (to, entity, mode) = (Grantee::Entity(cloud.name()), robot.name(), Mode::Unicast);
+        let (to, entity) = (Grantee::Entity(cloud.name()), robot.name());
         let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after })?.into();
-        let cert = AdCert { name, entity, mode, scope: vec![], serial, not_before, not_after };
+        let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
 
         let [first, _, last] = self.cables;

@@ -27,6 +27,9 @@ use zerocopy::{FromBytes, IntoBytes};
 /// Bytes of the GDP header.
 const HEADER: usize = 96;
 
+/// Bytes of the header up to the source, which the hop tag does not cover.
+const SOURCE: usize = 64;
+
 /// Indices of the first switch of an attacker's frames: S2 between s1 and s2, S1 next to the robot.
 const S2: usize = 1;
 const S1: usize = 0;
@@ -279,7 +282,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     let scene = Scene::set()?;
     let forged = |frame_type: u8, code: u8| {
         let mut frame = scene.frame.clone();
-        (frame[ETHERNET], frame[ETHERNET + 2], frame[ETHERNET + 3]) = (0x10 | frame_type, 1, code);
+        (frame[ETHERNET], frame[ETHERNET + 2], frame[ETHERNET + 3]) = (0x20 | frame_type, 1, code);
         frame
     };
     let errors: Vec<_> = (0..=5).map(|code| forged(2, code)).collect();
@@ -359,7 +362,7 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
         stranger.send_frames(&batch)?;
         sent += batch.len() as u64;
         for error in stranger.receive(Duration::ZERO)? {
-            ensure!(error.version_type == 0x12 && error.egress_set == ErrorCode::NoRoute as u8, "{error:?}");
+            ensure!(error.version_type == 0x22 && error.egress_set == ErrorCode::NoRoute as u8, "{error:?}");
             errors += 1;
         }
     }
@@ -391,31 +394,43 @@ fn resident_of(pid: u32) -> Result<u64> {
     Ok(line.trim().trim_end_matches(" kB").parse()?)
 }
 
-/// Flips every bit that the hop tag covers, and the tag's own. A switch detects wrong link ids and
-/// lengths before the tag.
+/// Flips every bit of the header. A switch detects wrong link ids and lengths before the tag. It
+/// detects another source by the count, which the frame itself has used up.
 #[test]
 fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
     let flips = |bytes: std::ops::Range<usize>| {
         (bytes.start * 8..bytes.end * 8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>()
     };
-    // Flags, hop limit, egress set; reserved; counter, tag, egress bits and names.
+    // Flags, hop limit, egress set; reserved; counter, tag, egress bits and destination.
     scene.refused_by_s2("drop_bad_tag", &flips(1..4))?;
     scene.refused_by_s2("drop_bad_tag", &flips(7..8))?;
-    scene.refused_by_s2("drop_bad_tag", &flips(12..HEADER))?;
+    scene.refused_by_s2("drop_bad_tag", &flips(12..SOURCE))?;
+    scene.refused_by_s2("drop_replayed", &flips(SOURCE..HEADER))?;
     scene.refused_by_s2("drop_no_link", &flips(8..12))?;
     // Payload length: longer than the frame, or shorter than tagged.
     let (longer, shorter) =
         flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
     scene.refused_by_s2("drop_truncated", &longer)?;
     scene.refused_by_s2("drop_bad_tag", &shorter)?;
-    // Header length; version and type, except for the bits that make a control frame, an error and
-    // an echo.
+    // Header length; version and type, except for the bits that make an error and an echo.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
-    scene.refused_by_s2("drop_unknown", &(3..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
+    scene.refused_by_s2("drop_unknown", &[0, 3, 4, 5, 6, 7].map(|bit| scene.flipped(bit)))?;
     scene.refused_by_s2("drop_bad_tag", &[scene.flipped(1), scene.flipped(2)])?;
-    scene.refused_by_s2("control", &[scene.flipped(0)])?;
     scene.only_honest_messages_arrived()
+}
+
+/// The attacker holds frames back and alters the source, which no tag covers between switches. The
+/// reader has no key of such a writer.
+#[test]
+fn a_source_flipped_on_its_way_is_no_writer_to_the_reader() -> Result<()> {
+    let scene = Scene::set()?;
+    const ALTERED: usize = 20;
+    let refused = |fabric: &Fabric| Ok(all_drops(&fabric.proxy_stats("cloud")["node"]));
+    let before = refused(&scene.fabric)?;
+    scene.hand_on(ALTERED, |n, frame| flip(frame, SOURCE..HEADER, n, ALTERED))?;
+    scene.wait_for_count("all drops of the reader", before + ALTERED as u64, refused)?;
+    scene.no_dishonest_message_arrived().map(drop)
 }
 
 #[test]
@@ -425,9 +440,8 @@ fn flipped_payload_bits_are_refused_by_the_reader() -> Result<()> {
     let refused = |fabric: &Fabric| Ok(all_drops(&fabric.proxy_stats("cloud")["node"]));
     let before = refused(&scene.fabric)?;
     scene.hand_on(ALTERED, |n, frame| {
-        let bits = (frame.len() - ETHERNET - HEADER) * 8;
-        let bit = n * bits / ALTERED + n % 8;
-        frame[ETHERNET + HEADER + bit / 8] ^= 1 << (bit % 8);
+        let end = frame.len() - ETHERNET;
+        flip(frame, HEADER..end, n, ALTERED);
     })?;
     scene.wait_for_count("all drops of the reader", before + ALTERED as u64, refused)?;
     scene.no_dishonest_message_arrived().map(drop)
@@ -455,6 +469,12 @@ fn forged_frames_are_refused_by_the_next_switch() -> Result<()> {
         .collect();
     scene.refused_by_s2("drop_bad_tag", &forged)?;
     scene.only_honest_messages_arrived()
+}
+
+/// Flips the `n`-th of `times` bits that are spread over a range of bytes of the GDP frame.
+fn flip(frame: &mut [u8], bytes: std::ops::Range<usize>, n: usize, times: usize) {
+    let bit = n * bytes.len() * 8 / times + n % 8;
+    frame[ETHERNET + bytes.start + bit / 8] ^= 1 << (bit % 8);
 }
 
 fn is_gdp(frame: &[u8]) -> bool {

@@ -271,9 +271,9 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     // An echo returns with a tag. The kernel removes the tag before a packet socket sees the frame,
     // and counts the frame there.
     let from = PacketSocket::open(&site.left, "e0")?;
-    let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
+    let echo = Frame { carrier: TAG, version_type: 0x24, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
     site.send(&echo)?;
-    let answer = from.receive(TIMEOUT, |frame| frame.len() == 110 && frame[14] == 0x14)?;
+    let answer = from.receive(TIMEOUT, |frame| frame.len() == 110 && frame[14] == 0x24)?;
     ensure!(answer[..12] == [LEFT_MAC, L0_MAC].concat() && switch.count(Counter::Echoed)? == (1, 0), "{answer:02x?}");
 
     site.send(&Frame { carrier: Carried::Vlan(6), ..site.next_frame(200) })?;

@@ -57,7 +57,7 @@ async fn what_is_not_for_this_station_is_not_received() -> Result<()> {
     let (endpoint, switch) = cable.ports()?;
     let LinkAddr::Ethernet { ifindex, .. } = cable.switch_addr(&endpoint) else { unreachable!("an Ethernet port") };
     cable.namespaces.1.ip(&["link", "set", "s0", "promisc", "on"])?;
-    let frame = |mac| OutFrame { to: LinkAddr::Ethernet { ifindex, mac }, head: &[0x10; 60], body: &[] };
+    let frame = |mac| OutFrame { to: LinkAddr::Ethernet { ifindex, mac }, head: &[0x20; 60], body: &[] };
     let control = OutFrame { head: &[0x11; 60], ..frame(SWITCH_MAC) };
     let sent = endpoint.data().send_batch([frame([2, 0, 0, 0, 0, 9]), control, frame(SWITCH_MAC)]);
     assert_eq!(sent.sent, 3);
@@ -65,7 +65,7 @@ async fn what_is_not_for_this_station_is_not_received() -> Result<()> {
     assert!(switch.data().wait_readable(Duration::from_secs(5))?);
     assert_eq!(switch.data().try_recv_batch(&mut batch)?, 1);
     let InFrame { bytes, from, .. } = batch.frames().next().context("one frame")?;
-    assert_eq!(bytes, [0x10; 60]);
+    assert_eq!(bytes, [0x20; 60]);
     assert!(matches!(from, LinkAddr::Ethernet { mac: [2, 0, 0, 0, 0, 1], .. }), "{from}");
     Ok(())
 }

@@ -173,8 +173,8 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
                 ensure!(topic.hear()? == i, "each once");
             }
         }
-        // A body that fits one frame, and a proof.
-        let segments = 2 * COUNT;
+        // A small body and its proof are one segment.
+        let segments = COUNT;
         for (i, topic) in topics.iter().enumerate() {
             let expected = if i % 2 == 0 { segments } else { 0 };
             let duplicates = || topic.subscription.counters().inbound.duplicates;

@@ -17,6 +17,7 @@ mod inside;
 mod kernel;
 mod kernel_fib;
 mod kernel_planes;
+mod late;
 mod link;
 mod links;
 mod liveness;

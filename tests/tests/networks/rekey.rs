@@ -12,7 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context, Result, ensure};
 use gdp::{Node, NodeConfig, Publisher, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
@@ -215,7 +215,7 @@ impl Way {
         let (to, serial) = (Grantee::Entity(reader.name()), 1);
         let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after })?.into();
         let entity: Name = writer.name();
-        let cert = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+        let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
         let cert = issue(&owner, &cert)?.into();
         let (publish, subscribe) = patient();
         let subscription = at_reader.runtime.block_on(reader.subscribe(card.proof(), grant, subscribe))?;

@@ -597,7 +597,7 @@ impl Inbox {
 
 /// Returns the link id of a packet that carries a data frame over UDP.
 fn link_in(packet: &[u8]) -> Option<u32> {
-    const DATA: u8 = 0x10;
+    const DATA: u8 = 0x20;
     let at = match packet.get(12..14)? {
         [0x08, 0] if packet.get(23) == Some(&17) => 42,
         [0x86, 0xdd] if packet.get(20) == Some(&17) => 62,

@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp::{Node, NodeConfig, Publisher, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 use gdp_tests::Tools;
@@ -328,8 +328,8 @@ impl Topic {
 
     fn write(&self, party: &Party) -> Result<Publisher> {
         let (name, entity) = (self.card.name(), party.identity.name());
-        let (mode, scope, serial, not_before, not_after) = (Mode::Multicast, vec![], 1, 0, 4_000_000_000);
-        let cert = issue(&self.owner, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into();
+        let (scope, serial, not_before, not_after) = (vec![], 1, 0, 4_000_000_000);
+        let cert = issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after })?.into();
         let publish = party.node.publish(self.card.proof(), cert, patient().0);
         Ok(party.inside.runtime.block_on(publish)?)
     }

@@ -218,7 +218,7 @@ fn an_attacker_on_the_path_gets_nothing_through() -> Result<()> {
     let spoofed = restamped(&mut site, &|header| header.source = robot);
     let unpermitted = restamped(&mut site, &|header| header.destination = FORBIDDEN);
     let mut cut = site.next_frame(INET, ROBOT, b"honest");
-    cut.version_type = 0x1f;
+    cut.version_type = 0x2f;
     for (frame, reason) in [
         (forged, Counter::BadTag),
         (honest, Counter::Replayed),
@@ -275,7 +275,7 @@ fn what_is_not_ours_passes_untouched() -> Result<()> {
     let mut buffer = vec![0; 8192];
     let from = site.in_cloud(|| Ok(UdpSocket::bind("10.2.0.9:0")?))?;
     // One datagram whose first byte equals GDP's; and one so large that it is fragmented.
-    for datagram in [&[0x10; 100][..], &[0x10; 5000]] {
+    for datagram in [&[0x20; 100][..], &[0x20; 5000]] {
         from.send_to(datagram, "10.1.0.1:9999")?;
         let length = other.recv(&mut buffer)?;
         ensure!(&buffer[..length] == datagram);

@@ -11,7 +11,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
@@ -49,7 +49,7 @@ fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<(
     let (name, not_before, not_after) = (card.name(), 0, 4_000_000_000);
     let (to, serial) = (Grantee::Entity(far.name()), 1);
     let grant = issue(&owner, &ReadGrant { name, to, serial, not_before, not_after })?.into();
-    let cert = AdCert { name, entity: robot.name(), mode: Mode::Unicast, scope: vec![], serial, not_before, not_after };
+    let cert = AdCert { name, entity: robot.name(), scope: vec![], serial, not_before, not_after };
     let cert = issue(&owner, &cert)?.into();
 
     let reader = Inside::new(&site.far, ROOT)?;

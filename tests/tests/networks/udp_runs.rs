@@ -55,7 +55,7 @@ async fn where_the_path_takes_less_too_large_frames_are_lost_and_others_are_not(
 
 /// Returns numbered frames.
 fn frames(length: usize) -> Vec<Vec<u8>> {
-    let frame = |number: usize| [&[0x10, 0][..], &(number as u32).to_be_bytes(), &vec![7; length - 6]].concat();
+    let frame = |number: usize| [&[0x20, 0][..], &(number as u32).to_be_bytes(), &vec![7; length - 6]].concat();
     (0..FRAMES).map(frame).collect()
 }
 

@@ -10,7 +10,7 @@ use gdp_tests::peers;
 use serde::Serialize;
 
 use super::ros::{Bench, Hog, LOAD, Load, Measured, RosRoute};
-use crate::workspace;
+use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -59,7 +59,7 @@ pub fn run(options: Options) -> Result<()> {
         bail!("network namespaces need root");
     }
     let hogs = if options.hogs.is_empty() { vec![1, 2, 4] } else { options.hogs };
-    let bench = Bench::prepare(&ROUTES)?;
+    let bench = Bench::prepare(&ROUTES, Profile::Dist)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
         let count = (load.rate * f64::from(options.seconds)).ceil() as u64;

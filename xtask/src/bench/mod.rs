@@ -7,6 +7,7 @@ mod calls;
 mod control;
 mod forward;
 mod hogs;
+mod idle;
 mod latency;
 mod local;
 mod program;
@@ -40,6 +41,8 @@ enum Figure {
     Ros(ros::Options),
     /// Measure ROS 2 messages while busy loops compete for the processors, compared with TCP
     Hogs(hogs::Options),
+    /// Measure wake-ups and processor time of proxies and switches while nothing is published
+    Idle(idle::Options),
     /// Measure the time of a service call that goes to one, two or three servers at once, while one
     /// of them is stalled for a part of each second
     Calls(calls::Options),
@@ -56,6 +59,7 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Local(options) => local::run(options),
         Figure::Ros(options) => ros::run(options),
         Figure::Hogs(options) => hogs::run(options),
+        Figure::Idle(options) => idle::run(options),
         Figure::Calls(options) => calls::run(options),
         Figure::Transport(options) => transport::run(options),
     }

@@ -28,6 +28,7 @@ use gdp_tests::netns::{self, Namespace};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program};
+use gdp_tests::system_calls::SystemCalls;
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
@@ -57,6 +58,9 @@ pub struct Options {
     /// Number of busy loops beside each measurement
     #[arg(long, default_value_t = 0)]
     hogs: u32,
+    /// Measure programs that are built as for the tests: quick to compile, and slower
+    #[arg(long)]
+    checked: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -119,6 +123,11 @@ struct RosRow {
     latency_us: Latency,
     /// Processor time per message in microseconds, or `None` over routers.
     cpu_us: Option<f64>,
+    /// Wake-ups of both proxies or bridges per message: the voluntary context switches of their
+    /// threads.
+    wakeups: Option<f64>,
+    /// System calls of both per message, or `None` where the kernel does not count them.
+    system_calls: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -130,9 +139,12 @@ struct Latency {
 }
 
 /// The result of one conversation.
+#[derive(Default)]
 pub(super) struct Measured {
     pub received: Vec<Received>,
     pub cpu: Option<Duration>,
+    pub wakeups: Option<u64>,
+    pub system_calls: Option<u64>,
     /// Frames that the sending proxy sent again.
     pub repeated: Option<u64>,
 }
@@ -142,7 +154,8 @@ pub fn run(options: Options) -> Result<()> {
         bail!("network namespaces need root");
     }
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
-    let bench = Bench::prepare(&routes)?;
+    let profile = if options.checked { Profile::Checked } else { Profile::Dist };
+    let bench = Bench::prepare(&routes, profile)?;
     let _hogs = Hog::several(options.hogs)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
@@ -179,10 +192,10 @@ pub(super) struct Bench {
 
 impl Bench {
     /// Builds the programs of these routes, and removes namespaces of earlier runs.
-    pub fn prepare(routes: &[RosRoute]) -> Result<Self> {
+    pub fn prepare(routes: &[RosRoute], profile: Profile) -> Result<Self> {
         setup::ensure(Purpose::Bench)?;
         if routes.contains(&RosRoute::Gdp) {
-            build::executables(Executables::All, Profile::Dist, Features::default())?;
+            build::executables(Executables::All, profile, Features::default())?;
         }
         peer_programs::build_dds()?;
         let bridge = if routes.iter().any(|route| matches!(route, RosRoute::Zenoh | RosRoute::ZenohTls)) {
@@ -192,7 +205,7 @@ impl Bench {
         };
         wait::catch_interrupts();
         netns::sweep()?;
-        Ok(Self { tools: workspace::tools(Profile::Dist), bridge })
+        Ok(Self { tools: workspace::tools(profile), bridge })
     }
 
     pub fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
@@ -204,8 +217,10 @@ impl Bench {
                 let mut fabric = Fabric::start(self.tools.clone(), FabricOptions { topics, ..Default::default() })?;
                 fabric.start_proxies()?;
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
-                let switches = fabric.switches.iter().map(|switch| &switch.process);
-                let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
+                let between = Between {
+                    proxies: fabric.robot.iter().chain(&fabric.cloud).collect(),
+                    switches: fabric.switches.iter().map(|switch| &switch.process).collect(),
+                };
                 let measured = converse(&self.tools, load.vendor, ends, &between, fabric.folder())?;
                 Ok(Measured { repeated: Some(repeated(&fabric)), ..measured })
             }
@@ -214,7 +229,7 @@ impl Bench {
                 let (_, cloud) = chain.ip_ends();
                 let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
                 let ends = [(chain.robot(), &talks), (chain.cloud(), &traffic)];
-                converse(&self.tools, Vendor::Tcp, ends, &[], folder.path())
+                converse(&self.tools, Vendor::Tcp, ends, &Between::default(), folder.path())
             }
             RosRoute::Ip => {
                 let chain = routers()?;
@@ -228,7 +243,7 @@ impl Bench {
                     &self.tools,
                     load.vendor,
                     [(chain.robot(), &talks), (chain.cloud(), &hears)],
-                    &[],
+                    &Between::default(),
                     folder.path(),
                 )
             }
@@ -236,7 +251,7 @@ impl Bench {
                 let (host, folder) = (Namespace::create("local")?, logs()?);
                 host.enable_loopback_multicast()?;
                 let ends = [(&host, &traffic), (&host, &traffic)];
-                converse(&self.tools, load.vendor, ends, &[], folder.path())
+                converse(&self.tools, load.vendor, ends, &Between::default(), folder.path())
             }
             RosRoute::ZenohTls | RosRoute::Zenoh => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
@@ -245,7 +260,8 @@ impl Bench {
                 let talks = Traffic { node: Some("talker".into()), ..traffic.clone() };
                 let hears = Traffic { node: Some("listener".into()), ..traffic };
                 let ends = [(chain.robot(), &talks), (chain.cloud(), &hears)];
-                converse(&self.tools, load.vendor, ends, &bridges.processes(), folder.path())
+                let between = Between { proxies: bridges.processes(), ..Between::default() };
+                converse(&self.tools, load.vendor, ends, &between, folder.path())
             }
         }
     }
@@ -260,12 +276,20 @@ fn routers() -> Result<Chain> {
     Ok(chain)
 }
 
-/// Runs one conversation. `between` lists the processes whose processor time counts.
+/// The programs between the two DDS programs, whose processor time counts.
+#[derive(Default)]
+struct Between<'a> {
+    /// Proxies or bridges, whose wake-ups and system calls count as well.
+    proxies: Vec<&'a Process>,
+    switches: Vec<&'a Process>,
+}
+
+/// Runs one conversation.
 fn converse(
     tools: &Tools,
     vendor: Vendor,
     [(from, talks), (to, hears)]: [(&Namespace, &Traffic); 2],
-    between: &[&Process],
+    between: &Between<'_>,
     folder: &Path,
 ) -> Result<Measured> {
     let talker = Side { at: from, vendor, traffic: talks };
@@ -277,19 +301,30 @@ fn converse(
         Err(error) => {
             wait::check_interrupt()?;
             eprintln!("nothing arrives: {error:#}");
-            return Ok(Measured { received: Vec::new(), cpu: None, repeated: None });
+            return Ok(Measured::default());
         }
     };
-    let before = cpu(between)?;
+    let system_calls = SystemCalls::of(&between.proxies)?;
+    let (before, woken) = (between.cpu()?, between.wakeups()?);
     both.open()?;
     let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
     let received = both.finish(sending, Duration::from_secs(10))?;
-    let taken = cpu(between)?.saturating_sub(before);
-    Ok(Measured { received, cpu: (!between.is_empty()).then_some(taken), repeated: None })
+    let (taken, woken) = (between.cpu()?.saturating_sub(before), between.wakeups()?.saturating_sub(woken));
+    let system_calls = system_calls.map(|calls| calls.read()).transpose()?;
+    if between.proxies.is_empty() {
+        return Ok(Measured { received, ..Measured::default() });
+    }
+    Ok(Measured { received, cpu: Some(taken), wakeups: Some(woken), system_calls, repeated: None })
 }
 
-fn cpu(processes: &[&Process]) -> Result<Duration> {
-    processes.iter().map(|process| process.cpu()).sum()
+impl Between<'_> {
+    fn cpu(&self) -> Result<Duration> {
+        self.proxies.iter().chain(&self.switches).map(|process| process.cpu()).sum()
+    }
+
+    fn wakeups(&self) -> Result<u64> {
+        self.proxies.iter().map(|process| Ok(process.wakeups()?.values().sum::<u64>())).sum()
+    }
 }
 
 fn logs() -> Result<tempfile::TempDir> {
@@ -305,10 +340,13 @@ fn row(route: RosRoute, load: &Load, sent: u64, all: &[Measured]) -> RosRow {
     let latency_us = Latency { p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
     let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
     let cpu_us = cpu.filter(|_| received > 0).map(|taken| taken.as_secs_f64() * 1e6 / received as f64);
+    let each = |total: Option<u64>| total.filter(|_| received > 0).map(|total| total as f64 / received as f64);
+    let wakeups = each(all.iter().map(|measured| measured.wakeups).sum());
+    let system_calls = each(all.iter().map(|measured| measured.system_calls).sum());
     let damaged = messages().filter(|message| !message.intact).count() as u64;
     let Load { bytes, rate, topics, vendor, .. } = *load;
     let vendor = vendor_name(vendor);
-    RosRow { route, bytes, rate, topics, vendor, sent, received, damaged, latency_us, cpu_us }
+    RosRow { route, bytes, rate, topics, vendor, sent, received, damaged, latency_us, cpu_us, wakeups, system_calls }
 }
 
 fn name(route: RosRoute) -> &'static str {
@@ -359,16 +397,19 @@ impl Drop for Hog {
 }
 
 fn print_table(rows: &[RosRow]) {
-    println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs");
+    println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs;");
+    println!("wake-ups and system calls of both proxies or bridges, per message");
     println!(
-        "{:<36} {:>8} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
-        "path", "vendor", "bytes", "Hz", "topics", "recv/sent", "p50", "p90", "p99", "max", "CPU"
+        "{:<36} {:>8} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9} {:>8} {:>8}",
+        "path", "vendor", "bytes", "Hz", "topics", "recv/sent", "p50", "p90", "p99", "max", "CPU", "wake-ups", "calls"
     );
     for row in rows {
         let (l, got) = (&row.latency_us, format!("{}/{}", row.received, row.sent));
         let cpu = row.cpu_us.map_or_else(|| "-".to_owned(), |cpu| format!("{cpu:.0}"));
+        let each = |count: Option<f64>| count.map_or_else(|| "-".to_owned(), |count| format!("{count:.1}"));
+        let (wakeups, calls) = (each(row.wakeups), each(row.system_calls));
         println!(
-            "{:<36} {:>8} {:>8} {:>6} {:>6} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
+            "{:<36} {:>8} {:>8} {:>6} {:>6} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9} {wakeups:>8} {calls:>8}",
             name(row.route),
             row.vendor,
             row.bytes,

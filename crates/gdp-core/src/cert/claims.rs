@@ -7,6 +7,16 @@ use serde::{Serialize, de::DeserializeOwned};
 /// tolerance: a verifier whose clock is behind already accepts longer.
 pub const CLOCKS_DIFFER: u64 = 60;
 
+/// Maximum lead in seconds of a serial over the verifier's clock, where the serial is the time of
+/// issue. A revocation of all that was issued so far covers serials up to its own time, so a serial
+/// of the far future would survive it.
+pub const SERIAL_AHEAD: u64 = 600;
+
+/// Returns the highest serial that holds at `now` (Unix seconds), where serials are times of issue.
+pub fn last_serial(now: u64) -> u64 {
+    now.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000)
+}
+
 /// Validity period in Unix seconds, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
@@ -55,6 +65,19 @@ pub trait Claims: Serialize + DeserializeOwned {
     const CONTEXT: &'static str;
 
     fn validity(&self) -> Validity;
+
+    /// Returns the serial of a kind whose serial is its time of issue in Unix nanoseconds.
+    fn issued_at(&self) -> Option<u64> {
+        None
+    }
+
+    /// Checks that the claims hold at `now` (Unix seconds), and were issued by then.
+    fn check_time(&self, now: u64) -> Result<(), CertError> {
+        match self.issued_at() {
+            Some(serial) if serial > last_serial(now) => Err(CertError::IssuedLater { what: Self::KIND, serial, now }),
+            _ => self.validity().check(now),
+        }
+    }
 
     /// Checks bounds that the types do not express.
     fn check_bounds(&self) -> Result<(), CertError> {

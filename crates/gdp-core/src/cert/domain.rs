@@ -35,7 +35,6 @@ pub mod roles {
 
 /// Certificate of a domain that an entity has this role among its members.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct MemberCert {
     pub domain: Name,
     pub entity: Name,
@@ -48,10 +47,14 @@ pub struct MemberCert {
 impl Claims for MemberCert {
     const KIND: &'static str = "MemberCert";
     const LABEL: &'static str = "GDP MEMBER CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -65,7 +68,6 @@ impl Claims for MemberCert {
 /// The first such entity that the domain's RIB sees is admitted. The validity bounds the use of the
 /// invitation; the admitted membership may last longer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Invite {
     pub domain: Name,
     pub key: VerifyKey,
@@ -80,10 +82,14 @@ pub struct Invite {
 impl Claims for Invite {
     const KIND: &'static str = "Invite";
     const LABEL: &'static str = "GDP INVITE";
-    const CONTEXT: &'static str = "application/vnd.gdp.invite.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.invite.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -137,7 +143,6 @@ impl FromStr for PeerRights {
 
 /// Certificate of a domain that grants these rights to another domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct PeerCert {
     pub domain: Name,
     pub peer: Name,
@@ -150,10 +155,14 @@ pub struct PeerCert {
 impl Claims for PeerCert {
     const KIND: &'static str = "PeerCert";
     const LABEL: &'static str = "GDP PEER CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.peer-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.peer-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -176,7 +185,7 @@ impl Signed<PeerCert> {
         let claims = self.verify_signature(&proof.verify_key()?)?;
         expect_domain(proof.name()?, claims.domain)?;
         check_not_revoked(PeerCert::KIND, claims.serial, revocation)?;
-        claims.validity().check(now)?;
+        claims.check_time(now)?;
         Ok(claims)
     }
 }
@@ -205,7 +214,7 @@ impl Membership {
     pub fn verify(&self, domain: Name, revocation: Option<&Revocation>, now: u64) -> Result<MemberCert, CertError> {
         let claims = self.verify_signatures(domain)?;
         self.check_revoked(revocation)?;
-        claims.validity().check(now)?;
+        claims.check_time(now)?;
         Ok(claims)
     }
 

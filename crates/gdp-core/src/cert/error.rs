@@ -11,10 +11,24 @@ use crate::name::Name;
 pub enum CertError {
     #[error("bad signature: the {what} was changed after it was signed")]
     BadSignature { what: &'static str },
+    #[error("high s: the {what} has the form of signature that anybody can make of another; have it issued anew")]
+    HighS { what: &'static str },
+    #[error("format version 1: the {what} is of the first format, which nobody reads any more; have it issued anew")]
+    OldVersion { what: &'static str },
+    #[error(
+        "unknown critical field: the {what} has {field}, which this release does not know and must not skip; upgrade \
+         this side"
+    )]
+    UnknownField { what: &'static str, field: String },
     #[error("wrong key: the {what} was signed by {got}, but must be signed by {expected}; sign it with that key")]
     WrongKey { what: &'static str, expected: String, got: String },
     #[error("not yet valid: begins at Unix time {from}, now is {now}; wait, or check the clock")]
     NotYetValid { from: u64, now: u64 },
+    #[error(
+        "issued later: the {what} has serial {serial}, a time of issue in ns, and now is {now} s; have it issued anew, \
+         or check the clock"
+    )]
+    IssuedLater { what: &'static str, serial: u64, now: u64 },
     #[error("expired at Unix time {at}, now is {now}; have a new one issued, or check the clock")]
     Expired { at: u64, now: u64 },
     #[error("malformed certificate: {0}")]

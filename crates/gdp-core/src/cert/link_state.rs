@@ -19,7 +19,6 @@ pub const MAX_LIFETIME: u32 = 3600;
 
 /// Link state of a switch, signed by its own key. The newest statement counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct LinkState {
     pub switch: Name,
     /// Run of the switch, which is higher after a restart.
@@ -70,7 +69,7 @@ impl LinkState {
 impl Claims for LinkState {
     const KIND: &'static str = "LinkState";
     const LABEL: &'static str = "GDP LINK STATE";
-    const CONTEXT: &'static str = "application/vnd.gdp.link-state.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.link-state.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity::ALWAYS

@@ -13,6 +13,7 @@ mod advert_op;
 mod claims;
 pub mod domain;
 mod error;
+mod extension;
 mod issued;
 mod link_state;
 mod name_proof;
@@ -24,19 +25,20 @@ mod statements;
 mod switch;
 
 pub use advert_op::AdvertOp;
-pub use claims::{CLOCKS_DIFFER, Claims, Validity};
+pub use claims::{CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
-pub use owner::{
-    AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, Mode, ReadGrant, Revocation,
-};
+pub use owner::{AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, ReadGrant, Revocation};
 pub use request::{Requester, Side, authorise_advertise, authorise_subscribe, authorise_withdraw, verify_statement};
 pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, RtCert};
 pub use switch::{Host, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR, SwitchStatement};
 
+#[cfg(test)]
+#[path = "../../tests/unit/cert/extension_tests.rs"]
+mod extension_tests;
 #[cfg(test)]
 #[path = "../../tests/unit/cert/issued_tests.rs"]
 mod issued_tests;

@@ -30,22 +30,11 @@ pub trait AboutName: Claims {
     fn set_validity(&mut self, validity: Validity);
 }
 
-/// Delivery mode of a name's messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
-    Multicast,
-    Anycast,
-    Unicast,
-}
-
 /// Certificate of a name's owner that an entity may publish or serve the name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct AdCert {
     pub name: Name,
     pub entity: Name,
-    pub mode: Mode,
     /// Domains in which the name may be known. If empty, only the domain in which it is advertised.
     pub scope: Vec<Name>,
     pub serial: u64,
@@ -56,10 +45,14 @@ pub struct AdCert {
 impl Claims for AdCert {
     const KIND: &'static str = "AdCert";
     const LABEL: &'static str = "GDP AD CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.ad-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.ad-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -94,7 +87,6 @@ impl AboutName for AdCert {
 /// Grant by a name's owner to an entity, or to a role of a domain, to subscribe to or call the
 /// name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct ReadGrant {
     pub name: Name,
     pub to: Grantee,
@@ -128,10 +120,14 @@ impl fmt::Display for Grantee {
 impl Claims for ReadGrant {
     const KIND: &'static str = "ReadGrant";
     const LABEL: &'static str = "GDP READ GRANT";
-    const CONTEXT: &'static str = "application/vnd.gdp.read-grant.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.read-grant.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -163,7 +159,6 @@ impl AboutName for ReadGrant {
 /// Delegation by a name's owner: another key may issue AdCerts (`publish`) or ReadGrants (`read`)
 /// for the name. It cannot be delegated further.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Delegation {
     pub name: Name,
     pub delegate: VerifyKey,
@@ -177,10 +172,14 @@ pub struct Delegation {
 impl Claims for Delegation {
     const KIND: &'static str = "Delegation";
     const LABEL: &'static str = "GDP DELEGATION";
-    const CONTEXT: &'static str = "application/vnd.gdp.delegation.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.delegation.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 }
 
@@ -189,7 +188,6 @@ impl Claims for Delegation {
 /// Of two revocations the one with the higher number counts. No delegate can issue one. The
 /// certificates of a domain are revoked by a revocation of the domain's own name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Revocation {
     pub name: Name,
     pub number: u64,
@@ -222,7 +220,7 @@ impl Revocation {
 impl Claims for Revocation {
     const KIND: &'static str = "Revocation";
     const LABEL: &'static str = "GDP REVOCATION";
-    const CONTEXT: &'static str = "application/vnd.gdp.revocation.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.revocation.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity::ALWAYS

@@ -8,19 +8,23 @@ use std::collections::VecDeque;
 /// invitation, a domain's proof.
 const MAX_BLOCKS: usize = 5;
 
+/// Start of the labels of later kinds that a reader of this release may skip. A file may have as
+/// many of these as of all others.
+const OPTIONAL: &str = "GDP OPTIONAL ";
+
 /// Maximum bytes of text. Base64 and its line breaks need less than twice the bytes.
-pub(super) const MAX_TEXT: usize = MAX_BLOCKS * 2 * MAX_SIGNED;
+pub(super) const MAX_TEXT: usize = 2 * MAX_BLOCKS * 2 * MAX_SIGNED;
 
 /// Blocks of a text in their order, each with its label.
 pub(super) struct Blocks<'t>(VecDeque<(&'t str, &'t str)>);
 
 impl<'t> Blocks<'t> {
-    /// Splits a text into blocks. Only blank lines may surround the blocks.
+    /// Splits a text into blocks. Only blank lines may surround the blocks. Skips optional ones.
     pub fn of(text: &'t str) -> Result<Self, CertError> {
         if text.len() > MAX_TEXT {
             return Err(CertError::Malformed(format!("{} characters of text are too many", text.len())));
         }
-        let mut blocks = VecDeque::new();
+        let (mut blocks, mut taken, mut skipped) = (VecDeque::new(), 0, 0);
         let mut rest = text.trim_ascii();
         while !rest.is_empty() {
             let none =
@@ -28,10 +32,15 @@ impl<'t> Blocks<'t> {
             let (label, _) = rest.strip_prefix("-----BEGIN ").and_then(|l| l.split_once("-----")).ok_or_else(none)?;
             let end = format!("-----END {label}-----");
             let at = rest.find(&end).ok_or_else(|| CertError::Malformed(format!("no line \"{end}\"")))? + end.len();
-            if blocks.len() == MAX_BLOCKS {
+            let is_optional = label.starts_with(OPTIONAL);
+            let count = if is_optional { &mut skipped } else { &mut taken };
+            *count += 1;
+            if *count > MAX_BLOCKS {
                 return Err(CertError::Malformed(format!("more than {MAX_BLOCKS} blocks")));
             }
-            blocks.push_back((label, &rest[..at]));
+            if !is_optional {
+                blocks.push_back((label, &rest[..at]));
+            }
             rest = rest[at..].trim_ascii_start();
         }
         Ok(Self(blocks))

@@ -1,6 +1,6 @@
 //! Exact bytes of a certificate, and their verification.
 
-use super::Claims;
+use super::{Claims, extension};
 use crate::cbor;
 use crate::cert::error::CertError;
 use crate::crypto::{CryptoError, SIGNATURE_LEN};
@@ -47,11 +47,11 @@ impl<T> Signed<T> {
 }
 
 impl<T: Claims> Signed<T> {
-    /// Verifies the signature by `key` and the validity at `now` (Unix seconds), and returns the
-    /// claims.
+    /// Verifies the signature by `key`, and validity and serial at `now` (Unix seconds). Returns
+    /// the claims.
     pub fn verify(&self, key: &VerifyKey, now: u64) -> Result<T, CertError> {
         let claims = self.verify_signature(key)?;
-        claims.validity().check(now)?;
+        claims.check_time(now)?;
         Ok(claims)
     }
 
@@ -66,7 +66,10 @@ impl<T: Claims> Signed<T> {
         let bad = CertError::BadSignature { what: T::KIND };
         cose.verify_signature(T::CONTEXT.as_bytes(), |signature, message| {
             let signature: &[u8; SIGNATURE_LEN] = signature.try_into().map_err(|_| bad.clone())?;
-            key.verify(message, signature).map_err(|_| bad.clone())
+            key.verify(message, signature).map_err(|error| match error {
+                CryptoError::HighS => CertError::HighS { what: T::KIND },
+                _ => bad.clone(),
+            })
         })?;
         Ok(claims)
     }
@@ -76,7 +79,8 @@ impl<T: Claims> Signed<T> {
         Ok(self.parse()?.1)
     }
 
-    /// Parses the bytes. Accepts only the encoding that [`issue`] produces.
+    /// Parses the bytes. Accepts only the encoding that [`issue`] produces, and unknown fields that
+    /// are not critical.
     fn parse(&self) -> Result<(CoseSign1, T), CertError> {
         let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
         let header = &cose.protected.header;
@@ -86,12 +90,16 @@ impl<T: Claims> Signed<T> {
                 Some(coset::ContentType::Text(text)) => text.as_str(),
                 _ => "something else",
             };
+            if *found == T::CONTEXT.replace(".v2+", ".v1+") {
+                return Err(CertError::OldVersion { what: T::KIND });
+            }
             return Err(CertError::Malformed(format!("expected {} ({}), found {found}", T::KIND, T::CONTEXT)));
         }
         let signer = VerifyKey::from_bytes(&header.key_id)
             .map_err(|_| CertError::Malformed("the key id is not a P-256 public key".into()))?;
         let payload = cose.payload.clone().ok_or_else(|| CertError::Malformed("no payload".into()))?;
-        let claims: T = cbor::decode(&payload, MAX_SIGNED)?;
+        let (claims, others): (T, _) = cbor::decode_open(&payload, MAX_SIGNED)?;
+        extension::check::<T>(&others)?;
         claims.check_bounds()?;
         let canonical = envelope::<T>(&signer, payload).signature(cose.signature.clone()).build();
         if canonical.to_tagged_vec().map_err(malformed)?[..] != *self.bytes {

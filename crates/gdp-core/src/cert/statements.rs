@@ -10,7 +10,6 @@ use serde::{Deserialize, Serialize};
 
 /// Statement of an entity that a switch may carry its traffic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct RtCert {
     pub entity: Name,
     pub switch: Name,
@@ -20,7 +19,7 @@ pub struct RtCert {
 impl Claims for RtCert {
     const KIND: &'static str = "RtCert";
     const LABEL: &'static str = "GDP RT CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.rt-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.rt-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: 0, not_after: self.not_after }
@@ -29,7 +28,6 @@ impl Claims for RtCert {
 
 /// Statement of an entity: what it does with the name, at which switch. No switch can forge it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Advert {
     pub op: AdvertOp,
     pub name: Name,
@@ -48,7 +46,7 @@ pub struct Advert {
 impl Claims for Advert {
     const KIND: &'static str = "Advert";
     const LABEL: &'static str = "GDP ADVERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.advert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.advert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity::ALWAYS

@@ -23,7 +23,6 @@ pub const MAX_LOCATOR: usize = 16 << 10;
 /// Statement of a switch to other domains: its domain and its addresses. The switch signs it with
 /// its own key, and its highest serial counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct SwitchStatement {
     pub switch: Name,
     pub domain: Name,
@@ -37,10 +36,14 @@ pub struct SwitchStatement {
 impl Claims for SwitchStatement {
     const KIND: &'static str = "SwitchStatement";
     const LABEL: &'static str = "GDP SWITCH STATEMENT";
-    const CONTEXT: &'static str = "application/vnd.gdp.switch-statement.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.switch-statement.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: 0, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {

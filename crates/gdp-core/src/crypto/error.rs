@@ -6,6 +6,8 @@ pub enum CryptoError {
     Forged,
     #[error("the signature does not fit the data and the key")]
     BadSignature,
+    #[error("the signature has a high s, where only the low form is accepted; sign anew with a current release")]
+    HighS,
     #[error("not a P-256 public key: 33 bytes, a compressed point on the curve")]
     BadPublicKey,
     #[error("not a P-256 private key")]

@@ -2,14 +2,14 @@
 //! RustCrypto (portable). Both are always compiled, and the tests check each against the other.
 //! This module contains no protocol.
 //!
-//! ECDSA signatures are 64 bytes `r ‖ s`. A high `s` is accepted, as RFC 9053 and both back ends
-//! do. Nothing in this project identifies anything by its signature bytes, so malleable signatures
-//! do no harm.
+//! ECDSA signatures are 64 bytes `r ‖ s`. Both back ends produce and accept only the lower of the
+//! two equivalent values of `s`, so that signed bytes have one form.
 
 mod aws_lc;
 mod error;
 mod hpke;
 mod lengths;
+mod low_s;
 mod parsed;
 mod rust_crypto;
 
@@ -146,7 +146,11 @@ enum VerifierImpl {
 }
 
 impl Verifier {
+    /// Verifies a signature. One with a high `s` is refused as [`CryptoError::HighS`].
     pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
+        if !low_s::is_low(signature) {
+            return Err(CryptoError::HighS);
+        }
         match &self.0 {
             VerifierImpl::AwsLc(verifier) => verifier.verify(message, signature),
             VerifierImpl::RustCrypto(verifier) => verifier.verify(message, signature),
@@ -169,11 +173,13 @@ enum SignerImpl {
 }
 
 impl Signer {
+    /// Signs `message`. The result has a low `s`.
     pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
-        match &self.0 {
-            SignerImpl::AwsLc(signer) => signer.sign(message),
-            SignerImpl::RustCrypto(signer) => Ok(signer.sign(message)),
-        }
+        let signature = match &self.0 {
+            SignerImpl::AwsLc(signer) => signer.sign(message)?,
+            SignerImpl::RustCrypto(signer) => signer.sign(message),
+        };
+        Ok(low_s::lower(signature))
     }
 }
 
@@ -214,4 +220,4 @@ pub fn random<const N: usize>() -> Result<[u8; N], CryptoError> {
 
 #[cfg(test)]
 #[path = "../../tests/unit/crypto.rs"]
-mod tests;
+pub(crate) mod tests;

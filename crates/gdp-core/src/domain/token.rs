@@ -111,7 +111,7 @@ impl Token {
     pub fn admit(&self, entity: Name, not_before: u64, serial: u64) -> Result<Membership, CertError> {
         let invite = self.invite()?;
         let now = serial / 1_000_000_000;
-        crate::cert::Claims::validity(&invite).check(now)?;
+        crate::cert::Claims::check_time(&invite, now)?;
         let Invite { domain, role, serial: invited, member_until: not_after, .. } = invite;
         let claims = MemberCert { domain, entity, role, serial: serial.max(invited), not_before, not_after };
         let cert = issue(&self.key, &claims)?;

@@ -10,6 +10,9 @@ use zeroize::Zeroizing;
 /// Context string for deriving a session's key.
 pub const SESSION_CONTEXT: &[u8] = b"gdp/session/1";
 
+/// Context string for deriving the commitment to a session's key.
+pub const COMMITMENT_CONTEXT: &[u8] = b"gdp/commit/1";
+
 #[derive(Clone)]
 pub struct EpochKey(Zeroizing<[u8; 32]>);
 
@@ -37,18 +40,31 @@ impl EpochKey {
         &self.0
     }
 
-    /// Derives the session's cipher by `HKDF-SHA256(epoch key, salt = session, info =
-    /// "gdp/session/1" ‖ name ‖ writer)`.
-    pub fn session_aead(
+    /// Derives the key of a session. Cipher key and commitment are `HKDF-SHA256(epoch key, salt =
+    /// session, info = context ‖ name ‖ writer)`, with the context "gdp/session/1" or
+    /// "gdp/commit/1".
+    pub fn session_key(
         &self,
         backend: Backend,
         name: &Name,
         writer: &Name,
         session: &[u8; 16],
-    ) -> Result<Aead, CryptoError> {
-        let info: [&[u8]; 3] = [SESSION_CONTEXT, name.as_bytes(), writer.as_bytes()];
-        backend.aead(&*backend.hkdf_sha256(session, self.0.as_slice(), &info)?)
+    ) -> Result<SessionKey, CryptoError> {
+        let derive = |context: &[u8]| {
+            backend.hkdf_sha256(session, self.0.as_slice(), &[context, name.as_bytes(), writer.as_bytes()])
+        };
+        let aead = backend.aead(&*derive(SESSION_CONTEXT)?)?;
+        Ok(SessionKey { aead, commitment: *derive(COMMITMENT_CONTEXT)? })
     }
+}
+
+/// The key of a session in an epoch.
+pub struct SessionKey {
+    pub aead: Aead,
+    /// Identifies the epoch key without revealing it: no two keys have the same commitment.
+    /// AES-GCM alone does not commit, since one ciphertext may open under two keys. Signatures
+    /// therefore cover the commitment.
+    pub commitment: [u8; 32],
 }
 
 impl fmt::Debug for EpochKey {

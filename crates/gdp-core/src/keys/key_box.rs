@@ -19,7 +19,6 @@ const SEALED_LEN: usize = 32 + HPKE_OVERHEAD;
 /// Key of the writer's epoch for the name, wrapped for the reader. It is valid until the writer
 /// starts another epoch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct KeyBox {
     pub name: Name,
     pub writer: Name,
@@ -34,7 +33,7 @@ pub struct KeyBox {
 impl Claims for KeyBox {
     const KIND: &'static str = "KeyBox";
     const LABEL: &'static str = "GDP KEY BOX";
-    const CONTEXT: &'static str = "application/vnd.gdp.key-box.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.key-box.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity::ALWAYS

@@ -5,5 +5,5 @@ mod epoch_key;
 mod key_box;
 
 pub use box_key::BoxKey;
-pub use epoch_key::EpochKey;
+pub use epoch_key::{EpochKey, SessionKey};
 pub use key_box::{KeyBox, open, wrap};

@@ -84,6 +84,17 @@ fn no_changed_bit_verifies() {
     assert!(Signed::<AdCert>::from_bytes(longer).unwrap().verify(&key, NOW).is_err());
 }
 
+/// Anybody can make the other form of a signature. With it, a certificate would have two encodings.
+#[test]
+fn a_signature_has_one_form() {
+    let f = Fixture::new();
+    let cert = f.ad_cert(|_| ());
+    let (signed, signature) = cert.as_bytes().split_last_chunk().unwrap();
+    let restated = [signed, &crate::crypto::tests::restated(signature)].concat();
+    let restated = Signed::<AdCert>::from_bytes(restated).unwrap();
+    assert_eq!(restated.verify(&f.owner.verify_key(), NOW), Err(CertError::HighS { what: "AdCert" }));
+}
+
 /// A ReadGrant whose claims are those of an RtCert would be one if the kind were not signed.
 #[test]
 fn one_kind_never_verifies_as_another() {
@@ -102,7 +113,7 @@ fn one_kind_never_verifies_as_another() {
     impl Claims for Other {
         const KIND: &'static str = "Other";
         const LABEL: &'static str = "OTHER";
-        const CONTEXT: &'static str = "application/vnd.gdp.readXgrant.v1+cbor";
+        const CONTEXT: &'static str = "application/vnd.gdp.readXgrant.v2+cbor";
         fn validity(&self) -> Validity {
             self.0.validity()
         }
@@ -128,7 +139,7 @@ fn a_certificate_is_plain_cose() {
             f.owner.verify_key().verify(message, signature.try_into().unwrap())
         })
     };
-    assert_eq!(check(b"application/vnd.gdp.ad-cert.v1+cbor"), Ok(()));
+    assert_eq!(check(b"application/vnd.gdp.ad-cert.v2+cbor"), Ok(()));
     assert!(check(b"").is_err());
 }
 
@@ -221,7 +232,7 @@ impl Fixture {
 
     fn ad_cert_claims(&self) -> AdCert {
         let (name, entity) = (self.name, self.entity.name());
-        AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 7, not_before: NOW - 5, not_after: NOW + 5 }
+        AdCert { name, entity, scope: vec![], serial: 7, not_before: NOW - 5, not_after: NOW + 5 }
     }
 
     fn grant_claims(&self) -> ReadGrant {

@@ -97,18 +97,32 @@ fn ecdh_of_rfc_5903() {
     }
 }
 
-/// Both back ends agree on what a signature is: if one accepted a high `s` and the other did not,
-/// two nodes could disagree about one message.
-#[test]
-fn a_high_s_is_accepted_by_both_or_by_none() {
-    let key = SigningKey::generate().unwrap();
-    let signature = Backend::RustCrypto.signer(&key.pkcs8_der()).unwrap().sign(b"m").unwrap();
-    let parsed = p256::ecdsa::Signature::from_slice(&signature).unwrap();
+/// Returns the other form of a signature, by p256's arithmetic.
+pub fn restated(signature: &[u8; SIGNATURE_LEN]) -> [u8; SIGNATURE_LEN] {
+    let parsed = p256::ecdsa::Signature::from_slice(signature).unwrap();
     let (r, s) = parsed.split_scalars();
-    let restated = p256::ecdsa::Signature::from_scalars(r.to_bytes(), (-*s).to_bytes()).unwrap();
-    for backend in Backend::ALL {
-        let verifier = backend.verifier(&key.public()).unwrap();
-        verifier.verify(b"m", &restated.to_bytes().into()).unwrap_or_else(|e| panic!("{backend:?}: {e}"));
+    p256::ecdsa::Signature::from_scalars(r.to_bytes(), (-*s).to_bytes()).unwrap().to_bytes().into()
+}
+
+/// If one back end accepted a high `s` and the other did not, two nodes could disagree about one
+/// message.
+#[test]
+fn both_back_ends_sign_with_a_low_s_and_refuse_a_high_one() {
+    let key = SigningKey::generate().unwrap();
+    for signing in Backend::ALL {
+        let signer = signing.signer(&key.pkcs8_der()).unwrap();
+        // By chance, half of all signatures would have a high s.
+        for message in 0u8..64 {
+            let signature = signer.sign(&[message]).unwrap();
+            let high = restated(&signature);
+            assert_eq!(p256::ecdsa::Signature::from_slice(&signature).unwrap().normalize_s().to_bytes()[..], signature);
+            assert_eq!(low_s::lower(high), signature);
+            for verifying in Backend::ALL {
+                let verifier = verifying.verifier(&key.public()).unwrap();
+                assert_eq!(verifier.verify(&[message], &signature), Ok(()), "{signing:?}, {verifying:?}");
+                assert_eq!(verifier.verify(&[message], &high), Err(CryptoError::HighS), "{signing:?}, {verifying:?}");
+            }
+        }
     }
 }
 

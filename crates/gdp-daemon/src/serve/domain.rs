@@ -5,7 +5,7 @@
 //! [`gdp_core::domain`] and [`crate::domain`].
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::domain::CurrentCredentials;
@@ -14,7 +14,8 @@ use gdp_core::revocations::SignedRevocation;
 use gdp_link::link::Link;
 use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp_util::file_watch::{FileSet, FileWatcher};
-use tokio::time::sleep;
+use gdp_util::ticks::next_tick;
+use tokio::time::sleep_until;
 
 use super::daemon::Daemon;
 use super::detach::detach_lost;
@@ -23,7 +24,7 @@ use crate::config::DomainConfig;
 use crate::domain::Credentials;
 
 /// The interval between checks for expired admissions.
-const LOOK: Duration = Duration::from_millis(250);
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Reloads the files when they change, and closes links when their credentials expire. Stores in
 /// `current` the credentials for new links.
@@ -31,7 +32,7 @@ pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, current: CurrentCr
     let mut files = FileSet::new(&FileWatcher::start(), config.files.paths());
     loop {
         tokio::select! {
-            () = sleep(LOOK) => recheck_links(&daemon, true),
+            () = sleep_until(next_tick(LOOK, Instant::now()).into()) => recheck_links(&daemon, true),
             () = files.changed() => match renew(&daemon, &config) {
                 Ok(credentials) => {
                     current.set(credentials.clone());

@@ -3,20 +3,21 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures::{Stream, StreamExt, TryStreamExt};
 use gdp_core::mac::DisplayMac;
+use gdp_util::ticks::next_tick;
 use netlink_packet_route::address::AddressAttribute;
 use netlink_packet_route::link::{LinkAttribute, LinkFlags, LinkLayerType};
 use netlink_packet_route::neighbour::{NeighbourAddress, NeighbourAttribute};
 use rtnetlink::{Handle, MulticastGroup};
 use serde::Serialize;
 use tokio::sync::watch;
-use tokio::time::{sleep, timeout};
+use tokio::time::{sleep, timeout_at};
 
 /// The maximum time between two looks at the interfaces, even without a netlink message.
-pub const LOOK: Duration = Duration::from_secs(2);
+pub const LOOK: Duration = Duration::from_secs(5);
 
 /// The maximum number of stations in the result.
 const MAX_STATIONS: usize = 1024;
@@ -72,7 +73,7 @@ pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
 
 /// Waits for a change of interfaces, at most [`LOOK`].
 pub async fn look(changes: &mut watch::Receiver<()>) {
-    if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
+    if let Ok(Err(_)) = timeout_at(next_tick(LOOK, Instant::now()).into(), changes.changed()).await {
         sleep(LOOK).await;
     }
 }

@@ -47,6 +47,7 @@ use gdp_core::identity::Identity;
 use gdp_dataplane::{PinLocation, PlaneConfig, Planes, Wanted, host_pair};
 use gdp_link::link::LinkIds;
 use gdp_link::port::{Port, PortConfig};
+use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
 use self::core::Core;
@@ -224,7 +225,7 @@ impl Running {
 
 async fn follow_addresses(daemon: Arc<Daemon>) {
     loop {
-        tokio::time::sleep(FOLLOW).await;
+        tokio::time::sleep_until(next_tick(FOLLOW, std::time::Instant::now()).into()).await;
         let (lost, neighbours_changed) = {
             let mut core = daemon.core();
             core.switch.follow_addresses();

@@ -1,6 +1,6 @@
 //! Frames as payload of UDP over IPv4. Packets in a form that peers do not send (options,
 //! fragments, inconsistent lengths) go to the host. Checksums of received packets are not verified.
-//! The hop tag covers the frame's header, and the reader's decryption covers its payload.
+//! The hop tag covers what switches forward by, and the reader's decryption names and payload.
 
 use gdp_wire::Carrier;
 use gdp_wire::packet::{self, ETHERNET_LEN, IPV4, UDP4_LEN};

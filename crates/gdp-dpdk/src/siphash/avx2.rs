@@ -61,15 +61,13 @@ fn store(a: Vector, words: &mut [u64]) {
     unsafe { _mm256_storeu_si256(words.as_mut_ptr().cast(), a) };
 }
 
-/// Returns a vector of the first words of all headers, a vector of the second words, and so on,
-/// without their tags.
+/// Returns a vector of the first tagged words of all headers, a vector of the second, and so on.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::TAGGED_WORDS] {
     let [w0, w1, _, w3] = columns::<0>(headers);
     let [w4, w5, w6, w7] = columns::<4>(headers);
-    let [w8, w9, w10, w11] = columns::<8>(headers);
-    [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
+    [w0, w1, w3, w4, w5, w6, w7]
 }
 
 /// Transposes four words of all headers, from `FROM` (0 … 8) on. Vector `i` contains word `FROM +

@@ -60,25 +60,16 @@ fn store(a: Vector, words: &mut [u64]) {
     unsafe { _mm512_storeu_si512(words.as_mut_ptr().cast(), a) };
 }
 
-/// Returns a vector of the first words of all headers, a vector of the second words, and so on,
-/// without their tags.
+/// Returns a vector of the first tagged words of all headers, a vector of the second, and so on.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
-    let [w0, w1, _, w3, w4, w5, w6, w7] = columns::<0>(headers);
-    let [.., w8, w9, w10, w11] = columns::<4>(headers);
-    [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
-}
-
-/// Transposes eight words from `FROM` (0 … 4) on of all headers.
-#[target_feature(enable = "avx512f")]
-#[inline]
-fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 8] {
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::TAGGED_WORDS] {
     let mut rows = [splat(0); LANES];
     for (row, header) in rows.iter_mut().zip(headers) {
-        *row = load(&header[FROM..]);
+        *row = load(header);
     }
-    transpose(rows)
+    let [w0, w1, _, w3, w4, w5, w6, w7] = transpose(rows);
+    [w0, w1, w3, w4, w5, w6, w7]
 }
 
 /// Transposes the rows: row `i` of the result contains word `i` of each row.

@@ -1,11 +1,13 @@
 //! SipHash-2-4 in the lanes of vectors, for vectors of any width.
 
+use gdp_wire::Header;
+
 /// The constants that are mixed with a key (Aumasson and Bernstein, "SipHash", section 2.1).
 pub const INITIAL: [u64; 4] =
     [0x736f_6d65_7073_6575, 0x646f_7261_6e64_6f6d, 0x6c79_6765_6e65_7261, 0x7465_6462_7974_6573];
 
 /// The final word of the input: the number of bytes modulo 256 in its highest byte.
-pub const LENGTH: u64 = (11 * 8) << 56;
+pub const LENGTH: u64 = ((Header::TAGGED_WORDS * 8) as u64) << 56;
 
 /// Defines `make` for one kind of vector. The scope must contain `Vector` and its number of words,
 /// `LANES`. For CPUs with the feature it must also contain `splat`, `add`, `xor`, `rotate` (left,
@@ -65,7 +67,7 @@ macro_rules! in_lanes {
         #[inline]
         fn hash<const GROUPS: usize>(first: usize, of: &mut Tags, headers: &[Header]) {
             let mut states = [State([splat(0); 4]); GROUPS];
-            let mut loaded = [[splat(0); 11]; GROUPS];
+            let mut loaded = [[splat(0); Header::TAGGED_WORDS]; GROUPS];
             for group in 0..GROUPS {
                 let lanes = first + group * LANES..first + (group + 1) * LANES;
                 let mut frames = [&headers[0]; LANES];
@@ -76,7 +78,7 @@ macro_rules! in_lanes {
                 loaded[group] = load_words(frames.map(|frame| zerocopy::transmute_ref!(frame)));
                 loaded[group][1] = xor(loaded[group][1], load(&of.highs[lanes]));
             }
-            for word in 0..11 {
+            for word in 0..Header::TAGGED_WORDS {
                 let mut each = [splat(0); GROUPS];
                 for group in 0..GROUPS {
                     each[group] = loaded[group][word];

@@ -10,7 +10,7 @@ mod pair;
 mod ring;
 mod store;
 
-pub use pair::{MAX_PAIR_PAYLOAD, PairError, PairKey, PairOpener, PairSealer};
+pub use pair::{MAX_PAIR_PAYLOAD, PairError, PairKey, PairOpener, PairSealer, VERSION as PAIR_VERSION};
 pub use ring::{Boxes, KeyRing, MAX_READERS, Omission, RingError, Rotation};
 pub use store::{KeyStore, MAX_WRITERS, Opened, StoreError};
 

@@ -22,8 +22,8 @@ pub const MAX_PAIR_PAYLOAD: usize = HEADER_LEN + MAX_FEEDBACK + TAG_LEN;
 
 const PAIR_CONTEXT: &[u8] = b"gdp/pair/1";
 const SESSION_CONTEXT: &[u8] = b"gdp/pair-session/1";
-/// The highest bit tells feedback from sealed segments.
-const VERSION: u8 = 0x82;
+/// The first byte of each frame of feedback. The highest bit tells feedback from sealed segments.
+pub const VERSION: u8 = 0x82;
 const HEADER_LEN: usize = 1 + 8 + 8;
 
 /// Maximum number of messages of a session; then the sealer starts another.

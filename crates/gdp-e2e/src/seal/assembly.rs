@@ -3,7 +3,7 @@
 
 use super::DropReason;
 use super::message::MAX_PREAMBLE;
-use super::wire::{Kind, SegmentHeader};
+use super::wire::SegmentHeader;
 
 /// Cost of an assembly besides its segments: the assembly itself, its map entry and the proof.
 const FIXED_COST: usize = 1024;
@@ -17,10 +17,21 @@ pub struct Assembly {
     digests: Vec<[u8; 32]>,
     received: Vec<u64>,
     missing: u32,
-    last_len: usize,
-    proof: Option<Vec<u8>>,
+    /// Bytes of the last two segments. The others are full.
+    last_lens: [usize; 2],
+    proof: Vec<u8>,
+    /// Commitment to the key that the first segment opened under.
+    pub commitment: [u8; 32],
     pub deadline: u64,
     pub cost: usize,
+}
+
+/// A complete message.
+pub struct Assembled {
+    pub plaintext: Vec<u8>,
+    pub digests: Vec<[u8; 32]>,
+    pub proof: Vec<u8>,
+    pub commitment: [u8; 32],
 }
 
 impl Assembly {
@@ -28,7 +39,8 @@ impl Assembly {
     /// large. Allocates nothing.
     pub fn cost(header: &SegmentHeader, max_message: usize) -> Result<usize, DropReason> {
         let (count, size) = (header.count as usize, header.size as usize);
-        let least = (count - 1).checked_mul(size).and_then(|n| n.checked_add(1)).ok_or(DropReason::TooLarge)?;
+        let full = count.saturating_sub(2);
+        let least = full.checked_mul(size).and_then(|n| n.checked_add(1)).ok_or(DropReason::TooLarge)?;
         if least > max_message.saturating_add(MAX_PREAMBLE) {
             return Err(DropReason::TooLarge);
         }
@@ -36,7 +48,7 @@ impl Assembly {
         count.checked_mul(per_segment).and_then(|n| n.checked_add(FIXED_COST)).ok_or(DropReason::TooLarge)
     }
 
-    pub fn new(header: &SegmentHeader, deadline: u64, cost: usize) -> Self {
+    pub fn new(header: &SegmentHeader, commitment: [u8; 32], deadline: u64, cost: usize) -> Self {
         let count = header.count as usize;
         Self {
             header: *header,
@@ -46,8 +58,9 @@ impl Assembly {
             digests: vec![[0; 32]; count],
             received: vec![0; count.div_ceil(64)],
             missing: header.count,
-            last_len: 0,
-            proof: None,
+            last_lens: [header.size as usize, 0],
+            proof: Vec::new(),
+            commitment,
             deadline,
             cost,
         }
@@ -58,37 +71,44 @@ impl Assembly {
     }
 
     pub fn has(&self, header: &SegmentHeader) -> bool {
-        if header.kind == Kind::Proof { self.proof.is_some() } else { self.received[word(header)] & bit(header) != 0 }
+        self.received[word(header)] & bit(header) != 0
     }
 
-    /// Returns the slot of a missing body segment. Its contents do not count until [`Self::mark`].
+    /// Returns the slot of a missing segment. Its contents do not count until [`Self::mark`].
     pub fn slot(&mut self, header: &SegmentHeader, len: usize) -> &mut [u8] {
         &mut self.buffer[header.index as usize * self.header.size as usize..][..len]
     }
 
-    /// Records that the slot of this body segment is filled, and the digest of its ciphertext.
+    /// Records that the slot of this segment is filled, and the digest of its plaintext.
     pub fn mark(&mut self, header: &SegmentHeader, len: usize, digest: [u8; 32]) {
         self.received[word(header)] |= bit(header);
         self.digests[header.index as usize] = digest;
         self.missing -= 1;
-        if header.index + 1 == self.header.count {
-            self.last_len = len;
+        match self.header.count - header.index {
+            1 => self.last_lens[1] = len,
+            2 => self.last_lens[0] = len,
+            _ => {}
         }
     }
 
     pub fn set_proof(&mut self, proof: &[u8]) {
-        self.proof = Some(proof.to_vec());
+        self.proof = proof.to_vec();
     }
 
     pub fn is_complete(&self) -> bool {
-        self.missing == 0 && self.proof.is_some()
+        self.missing == 0
     }
 
-    /// Returns plaintext, segment digests and proof of a complete message.
-    pub fn into_parts(mut self) -> (Vec<u8>, Vec<[u8; 32]>, Vec<u8>) {
-        let len = (self.header.count as usize - 1) * self.header.size as usize + self.last_len;
-        self.buffer.truncate(len);
-        (self.buffer, self.digests, self.proof.unwrap_or_default())
+    /// Returns a complete message, or `None` if its segments leave a gap.
+    pub fn into_message(mut self) -> Option<Assembled> {
+        let size = self.header.size as usize;
+        let [before_last, last] = self.last_lens;
+        if last > 0 && before_last < size {
+            return None;
+        }
+        self.buffer.truncate((self.header.count as usize - 2) * size + before_last + last);
+        let Self { buffer: plaintext, digests, proof, commitment, .. } = self;
+        Some(Assembled { plaintext, digests, proof, commitment })
     }
 }
 

@@ -25,8 +25,13 @@ macro_rules! reasons {
 reasons! {
     /// The payload ends within a segment.
     Truncated = "truncated",
-    /// Another version, or inconsistent header fields.
+    /// Inconsistent header fields.
     BadHeader = "bad_header",
+    /// Another version of segments. The release of the writer or of this reader is too old.
+    OtherVersion = "other_version",
+    /// An unknown kind of segments or a critical extension that is unknown. The release of this
+    /// reader is too old.
+    Unsupported = "unsupported",
     /// The message would be larger than the limit.
     TooLarge = "too_large",
     /// The writer of this name is not or no longer authorised.
@@ -54,6 +59,8 @@ reasons! {
     BadMessage = "bad_message",
     /// The writer did not sign this message.
     BadSignature = "bad_signature",
+    /// The signature has a high `s`, the form that anybody can make of a good signature.
+    HighS = "high_s",
     /// The sequence is before the first one that the writer has confirmed for its session.
     Stale = "stale",
     /// The cryptographic library failed.

@@ -1,14 +1,22 @@
 //! Messages before sealing and after verification, and the layout of the plaintext: message header,
 //! extensions, then the body. All integers are big-endian.
 
+use super::DropReason;
 use bytes::Bytes;
 use gdp_core::name::Name;
+use std::ops::Range;
 
-pub const MESSAGE_HEADER_LEN: usize = 16;
+pub const TIMESTAMP_LEN: usize = 8;
+/// Timestamp, encoding and length of extensions.
+pub const MESSAGE_HEADER_LEN: usize = TIMESTAMP_LEN + 4;
+/// Encoding, length of extensions and length of the body. The bundle has the timestamp.
+pub const BUNDLED_HEADER_LEN: usize = 6;
 /// The longest origin, in bytes.
 pub const MAX_ORIGIN: usize = 64;
 
 const EXTENSION_HEADER_LEN: usize = 4;
+/// Bit of the types of extensions that a reader must know.
+const CRITICAL: u16 = 0x8000;
 const IN_REPLY_TO: u16 = 1;
 const IN_REPLY_TO_LEN: usize = 24;
 const ORIGIN: u16 = 2;
@@ -77,9 +85,14 @@ impl<'a> Draft<'a> {
         Self { encoding, in_reply_to: None, origin: &[], latched: None, service: None, body }
     }
 
-    /// Returns the length of the data before the body.
+    /// Returns the length of the data before the body, in a message by itself.
     pub fn preamble_len(&self) -> usize {
         MESSAGE_HEADER_LEN + self.extensions_len()
+    }
+
+    /// Returns the length of the message in a bundle, or `None` if it is too long for one.
+    pub fn bundled_len(&self) -> Option<usize> {
+        u16::try_from(self.body.len()).ok().map(|body| BUNDLED_HEADER_LEN + self.extensions_len() + usize::from(body))
     }
 
     fn extensions_len(&self) -> usize {
@@ -94,15 +107,30 @@ impl<'a> Draft<'a> {
     /// the origin must have been checked.
     pub fn preamble(&self, timestamp_ns: u64) -> [u8; MAX_PREAMBLE] {
         let mut bytes = [0u8; MAX_PREAMBLE];
+        let (timestamp, fields) = bytes.split_at_mut(TIMESTAMP_LEN);
+        timestamp.copy_from_slice(&timestamp_ns.to_be_bytes());
+        self.write_fields(&[], fields);
+        bytes
+    }
+
+    /// Appends the message to a bundle. It must have a [`Self::bundled_len`].
+    pub fn bundle_into(&self, out: &mut Vec<u8>) {
+        let mut bytes = [0u8; MAX_PREAMBLE];
+        self.write_fields(&(self.body.len() as u16).to_be_bytes(), &mut bytes);
+        out.extend_from_slice(&bytes[..BUNDLED_HEADER_LEN + self.extensions_len()]);
+        out.extend_from_slice(self.body);
+    }
+
+    /// Writes encoding and length of extensions, then `more`, then the extensions.
+    fn write_fields(&self, more: &[u8], out: &mut [u8]) {
         let mut at = 0;
         let mut put = |part: &[u8]| {
-            bytes[at..at + part.len()].copy_from_slice(part);
+            out[at..at + part.len()].copy_from_slice(part);
             at += part.len();
         };
-        put(&timestamp_ns.to_be_bytes());
         put(&u16::from(self.encoding).to_be_bytes());
         put(&(self.extensions_len() as u16).to_be_bytes());
-        put(&[0; 4]);
+        put(more);
         if let Some(request) = self.in_reply_to {
             put(&IN_REPLY_TO.to_be_bytes());
             put(&(IN_REPLY_TO_LEN as u16).to_be_bytes());
@@ -125,7 +153,6 @@ impl<'a> Draft<'a> {
             put(&(SERVICE_LEN as u16).to_be_bytes());
             put(service.as_bytes());
         }
-        bytes
     }
 }
 
@@ -135,77 +162,119 @@ pub struct Preamble {
     pub timestamp_ns: u64,
     pub encoding: Encoding,
     pub in_reply_to: Option<MessageId>,
-    pub origin: std::ops::Range<usize>,
+    pub origin: Range<usize>,
     pub latched: Option<Latched>,
     pub service: Option<Name>,
-    pub body_at: usize,
+    pub body: Range<usize>,
 }
 
 impl Preamble {
-    /// Returns `None` if the plaintext is malformed. Skips extensions of later versions.
-    pub fn parse(plaintext: &[u8]) -> Option<Self> {
-        let (bytes, rest) = plaintext.split_first_chunk::<MESSAGE_HEADER_LEN>()?;
-        let [t0, t1, t2, t3, t4, t5, t6, t7, e0, e1, x0, x1, reserved @ ..] = *bytes;
-        let extensions = rest.get(..usize::from(u16::from_be_bytes([x0, x1])))?;
-        if reserved != [0; 4] {
-            return None;
+    /// Parses the plaintext of a message by itself. Skips extensions of later releases, unless they
+    /// are critical.
+    pub fn parse(plaintext: &[u8]) -> Result<Self, DropReason> {
+        let (&[t0, t1, t2, t3, t4, t5, t6, t7, e0, e1, x0, x1], rest) =
+            plaintext.split_first_chunk::<MESSAGE_HEADER_LEN>().ok_or(DropReason::BadMessage)?;
+        let extensions = usize::from(u16::from_be_bytes([x0, x1]));
+        let body = rest.len().checked_sub(extensions).ok_or(DropReason::BadMessage)?;
+        let timestamp_ns = u64::from_be_bytes([t0, t1, t2, t3, t4, t5, t6, t7]);
+        let encoding = u16::from_be_bytes([e0, e1]).into();
+        Self::with_extensions(timestamp_ns, encoding, plaintext, MESSAGE_HEADER_LEN, extensions, body)
+    }
+
+    /// Parses the plaintext of a bundle of `count` messages.
+    pub fn parse_bundle(plaintext: &[u8], count: u32) -> Result<Vec<Self>, DropReason> {
+        let timestamp = plaintext.first_chunk().ok_or(DropReason::BadMessage)?;
+        let (timestamp_ns, mut at) = (u64::from_be_bytes(*timestamp), TIMESTAMP_LEN);
+        let mut messages = Vec::with_capacity(count as usize);
+        while let Some(&[e0, e1, x0, x1, b0, b1]) = plaintext[at..].first_chunk::<BUNDLED_HEADER_LEN>() {
+            let (extensions, body) = (u16::from_be_bytes([x0, x1]).into(), u16::from_be_bytes([b0, b1]).into());
+            let encoding = u16::from_be_bytes([e0, e1]).into();
+            let from = at + BUNDLED_HEADER_LEN;
+            messages.push(Self::with_extensions(timestamp_ns, encoding, plaintext, from, extensions, body)?);
+            at = from + extensions + body;
+        }
+        let is_whole = at == plaintext.len() && messages.len() == count as usize;
+        is_whole.then_some(messages).ok_or(DropReason::BadMessage)
+    }
+
+    fn with_extensions(
+        timestamp_ns: u64,
+        encoding: Encoding,
+        plaintext: &[u8],
+        from: usize,
+        extensions: usize,
+        body: usize,
+    ) -> Result<Self, DropReason> {
+        let at = from + extensions;
+        if plaintext.len() < at + body {
+            return Err(DropReason::BadMessage);
         }
         let mut preamble = Self {
-            timestamp_ns: u64::from_be_bytes([t0, t1, t2, t3, t4, t5, t6, t7]),
-            encoding: u16::from_be_bytes([e0, e1]).into(),
+            timestamp_ns,
+            encoding,
             in_reply_to: None,
             origin: 0..0,
             latched: None,
             service: None,
-            body_at: MESSAGE_HEADER_LEN + extensions.len(),
+            body: at..at + body,
         };
-        let mut rest = extensions;
+        let mut rest = &plaintext[from..at];
         while !rest.is_empty() {
-            let (&[k0, k1, l0, l1], behind) = rest.split_first_chunk::<EXTENSION_HEADER_LEN>()?;
-            let (value, behind) = behind.split_at_checked(u16::from_be_bytes([l0, l1]).into())?;
+            let (&[k0, k1, l0, l1], behind) = rest.split_first_chunk().ok_or(DropReason::BadMessage)?;
+            let length = u16::from_be_bytes([l0, l1]).into();
+            let (value, behind) = behind.split_at_checked(length).ok_or(DropReason::BadMessage)?;
             rest = behind;
-            let value_at = preamble.body_at - rest.len() - value.len();
+            let value_at = at - rest.len() - value.len();
             preamble.extension(u16::from_be_bytes([k0, k1]), value, value_at)?;
         }
-        Some(preamble)
+        Ok(preamble)
     }
 
     /// Returns the message as a draft, given the plaintext that it was parsed from.
     pub fn draft<'a>(&self, plaintext: &'a [u8]) -> Draft<'a> {
-        let Self { encoding, in_reply_to, origin, latched, service, body_at, .. } = self;
+        let Self { encoding, in_reply_to, origin, latched, service, body, .. } = self;
         Draft {
             encoding: *encoding,
             in_reply_to: *in_reply_to,
             origin: &plaintext[origin.clone()],
             latched: *latched,
             service: *service,
-            body: &plaintext[*body_at..],
+            body: &plaintext[body.clone()],
         }
     }
 
     /// Parses one extension. A known extension must not be repeated.
-    fn extension(&mut self, kind: u16, value: &[u8], at: usize) -> Option<()> {
+    fn extension(&mut self, kind: u16, value: &[u8], at: usize) -> Result<(), DropReason> {
+        let is_new = match kind {
+            IN_REPLY_TO => self.in_reply_to.is_none() && value.len() == IN_REPLY_TO_LEN,
+            ORIGIN => self.origin.is_empty() && (1..=MAX_ORIGIN).contains(&value.len()),
+            LATCHED => self.latched.is_none() && value.len() == LATCHED_LEN,
+            SERVICE => self.service.is_none() && value.len() == SERVICE_LEN,
+            unknown if unknown & CRITICAL != 0 => return Err(DropReason::Unsupported),
+            _ => return Ok(()),
+        };
+        let fields = Fields(value);
         match kind {
-            IN_REPLY_TO if self.in_reply_to.is_none() && value.len() == IN_REPLY_TO_LEN => {
-                let (session, sequence) = value.split_first_chunk::<16>()?;
-                let sequence = u64::from_be_bytes(sequence.try_into().ok()?);
-                self.in_reply_to = Some(MessageId { session: *session, sequence });
-            }
-            ORIGIN if self.origin.is_empty() && (1..=MAX_ORIGIN).contains(&value.len()) => {
-                self.origin = at..at + value.len();
-            }
-            LATCHED if self.latched.is_none() && value.len() == LATCHED_LEN => {
-                let (sequence, timestamp) = value.split_first_chunk::<8>()?;
-                let timestamp_ns = u64::from_be_bytes(timestamp.try_into().ok()?);
-                self.latched = Some(Latched { sequence: u64::from_be_bytes(*sequence), timestamp_ns });
-            }
-            SERVICE if self.service.is_none() && value.len() == SERVICE_LEN => {
-                self.service = Some(Name::from_bytes(value.try_into().ok()?));
-            }
-            IN_REPLY_TO | ORIGIN | LATCHED | SERVICE => return None,
-            _ => {}
+            _ if !is_new => return Err(DropReason::BadMessage),
+            IN_REPLY_TO => self.in_reply_to = Some(MessageId { session: fields.at(0)?, sequence: fields.number(16)? }),
+            ORIGIN => self.origin = at..at + value.len(),
+            LATCHED => self.latched = Some(Latched { sequence: fields.number(0)?, timestamp_ns: fields.number(8)? }),
+            _ => self.service = Some(Name::from_bytes(fields.at(0)?)),
         }
-        Some(())
+        Ok(())
+    }
+}
+
+/// The value of an extension.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn at<const N: usize>(&self, at: usize) -> Result<[u8; N], DropReason> {
+        self.0.get(at..).and_then(<[u8]>::first_chunk).copied().ok_or(DropReason::BadMessage)
+    }
+
+    fn number(&self, at: usize) -> Result<u64, DropReason> {
+        self.at(at).map(u64::from_be_bytes)
     }
 }
 

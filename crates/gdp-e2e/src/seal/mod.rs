@@ -8,14 +8,19 @@
 //! payloads. Callers also authorise writers and interpret the body.
 
 mod assembly;
+mod delivery;
 mod drop_reason;
 mod event;
+mod heartbeat;
 mod merkle;
 mod message;
+mod plan;
 mod reader;
+mod seal_error;
 mod segment;
 mod segments;
 mod session;
+mod signed_parts;
 mod source;
 mod used_cuts;
 mod window;
@@ -26,13 +31,17 @@ pub use crate::seal::event::{Heartbeat, Lost, ReaderLimits, Received, Timestamps
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
 pub use reader::Reader;
+pub use seal_error::SealError;
 pub use segment::{SegmentId, segment_ids};
 pub use segments::Segments;
 pub use window::ReplayWindow;
 pub use wire::VERSION as SEGMENT_VERSION;
 pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
-pub use writer::{MAX_SEGMENTS, SealError, Writer};
+pub use writer::{MAX_SEGMENTS, Writer};
 
+#[cfg(test)]
+#[path = "../../tests/unit/seal/equivocation.rs"]
+mod equivocation;
 #[cfg(test)]
 #[path = "../../tests/unit/seal/hostile_tests.rs"]
 mod hostile_tests;

@@ -9,7 +9,7 @@
 use super::DropReason;
 use super::segment::Segment;
 use super::source::WriterState;
-use super::wire::{self, Kind};
+use super::wire;
 pub use crate::seal::event::{Push, Timestamps};
 use crate::seal::event::{ReaderContext, ReaderLimits, Received};
 use gdp_core::crypto::{Backend, CryptoError};
@@ -23,17 +23,15 @@ use std::fmt;
 pub struct Reader {
     sources: HashMap<Name, WriterState>,
     shared: ReaderContext,
-    /// Buffer for opening segments without a slot: a body, followed by a proof.
+    /// Buffer for opening segments without a slot.
     scratch: Box<[u8]>,
 }
-
-const SCRATCH_LEN: usize = wire::MAX_PLAINTEXT + wire::proof_len(wire::MAX_DEPTH);
 
 impl Reader {
     pub fn new(name: Name, backend: Backend, limits: ReaderLimits) -> Self {
         let shared =
             ReaderContext { name, backend, limits, memory: 0, drops: [0; DropReason::COUNT], next_deadline: u64::MAX };
-        Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
+        Self { sources: HashMap::new(), shared, scratch: vec![0; wire::MAX_PLAINTEXT].into() }
     }
 
     /// Authorises `writer`, whose messages are signed by `key`. Messages are delivered once their
@@ -101,7 +99,10 @@ impl Reader {
         loop {
             let (taken, behind) = match Segment::split(rest) {
                 Ok((segment, behind)) => {
-                    let (taken, behind) = take(source.as_deref_mut(), &mut push, &segment, behind);
+                    let taken = match source.as_deref_mut() {
+                        Some(source) => source.take(&mut push, &segment),
+                        None => Err(DropReason::UnknownWriter),
+                    };
                     if taken == Err(DropReason::Duplicate) {
                         push.out.repeated.push(segment.id());
                     }
@@ -149,27 +150,6 @@ impl Reader {
     fn source(&mut self, writer: &Name) -> Result<&mut WriterState, DropReason> {
         self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)
     }
-}
-
-/// Processes one segment, together with its proof if the message has one segment only. Also returns
-/// the rest of the payload.
-fn take<'p>(
-    source: Option<&mut WriterState>,
-    push: &mut Push<'_>,
-    segment: &Segment<'_>,
-    behind: &'p [u8],
-) -> (Result<(), DropReason>, &'p [u8]) {
-    let Some(source) = source else { return (Err(DropReason::UnknownWriter), behind) };
-    let header = &segment.header;
-    if header.kind == Kind::Body
-        && header.count == 1
-        && let Ok((proof, behind_proof)) = Segment::split(behind)
-        && proof.proves(header)
-        && let Some(result) = source.take_whole(push, segment, &proof)
-    {
-        return (result, behind_proof);
-    }
-    (source.take(push, segment), behind)
 }
 
 impl fmt::Debug for Reader {

@@ -3,7 +3,8 @@
 use super::DropReason;
 use super::assembly::Assembly;
 use super::window::ReplayWindow;
-use gdp_core::crypto::{Aead, CryptoError};
+use gdp_core::crypto::CryptoError;
+use gdp_core::keys::SessionKey;
 use std::collections::BTreeMap;
 
 /// Sequence and cut. A message with a new cut is assembled separately from the earlier cut.
@@ -11,7 +12,7 @@ pub type SegmentPosition = (u64, u16);
 
 pub struct Session {
     pub id: [u8; 16],
-    pub aeads: Aeads,
+    pub keys: SessionKeys,
     /// The delivered messages, of any cut.
     pub window: ReplayWindow,
     pub assemblies: BTreeMap<SegmentPosition, Assembly>,
@@ -27,7 +28,7 @@ impl Session {
     pub fn new(id: [u8; 16]) -> Self {
         Self {
             id,
-            aeads: Aeads::default(),
+            keys: SessionKeys::default(),
             window: ReplayWindow::default(),
             assemblies: BTreeMap::new(),
             from: None,
@@ -46,13 +47,17 @@ impl Session {
     }
 }
 
-/// The AEADs of a session by epoch, at most one per key of the writer.
+/// The keys of a session by epoch, at most one per epoch key of the writer.
 #[derive(Default)]
-pub struct Aeads(Vec<(u32, Aead)>);
+pub struct SessionKeys(Vec<(u32, SessionKey)>);
 
-impl Aeads {
-    /// Returns the AEAD of an epoch; `derive` creates it on first use.
-    pub fn of(&mut self, epoch: u32, derive: impl FnOnce() -> Result<Aead, CryptoError>) -> Result<&Aead, DropReason> {
+impl SessionKeys {
+    /// Returns the key of an epoch; `derive` creates it on first use.
+    pub fn of(
+        &mut self,
+        epoch: u32,
+        derive: impl FnOnce() -> Result<SessionKey, CryptoError>,
+    ) -> Result<&SessionKey, DropReason> {
         let at = match self.0.iter().position(|(of, _)| *of == epoch) {
             Some(at) => at,
             None => {

@@ -3,14 +3,14 @@
 
 use super::DropReason;
 use super::assembly::Assembly;
+use super::heartbeat::HeartbeatBody;
 use super::merkle::SignedTree;
-use super::message::{Message, Preamble};
 use super::segment::Segment;
 use super::session::{SegmentPosition, Session};
-use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
-use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext, Timestamps};
-use bytes::{Buf, Bytes};
-use gdp_core::crypto::{CryptoError, Verifier};
+use super::signed_parts::{SignedParts, check_age, unsigned};
+use super::wire::{Kind, Proof, SegmentHeader};
+use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext};
+use gdp_core::crypto::Verifier;
 use gdp_core::keys::EpochKey;
 use gdp_core::name::Name;
 use std::borrow::Cow;
@@ -23,14 +23,14 @@ const MAX_IN_FLIGHT: usize = 256;
 pub const MAX_EPOCHS: usize = 4;
 
 pub struct WriterState {
-    name: Name,
-    verifier: Verifier,
+    pub(super) name: Name,
+    pub(super) verifier: Verifier,
     keys: Vec<(u32, EpochKey)>,
-    sessions: Vec<Session>,
+    pub(super) sessions: Vec<Session>,
     /// Bytes charged to its assemblies.
     memory: usize,
     /// The last verified tree, so that the signature of a batch is verified only once.
-    signed: SignedTree,
+    pub(super) signed: SignedTree,
     /// Counts deliveries, to order the sessions by last use.
     clock: u64,
 }
@@ -57,7 +57,7 @@ impl WriterState {
 
     pub fn drop_key(&mut self, epoch: u32) {
         self.keys.retain(|(of, _)| *of != epoch);
-        self.sessions.iter_mut().for_each(|session| session.aeads.forget(epoch));
+        self.sessions.iter_mut().for_each(|session| session.keys.forget(epoch));
     }
 
     /// Confirms a session. If too many sessions are confirmed, discards the least recently used
@@ -98,52 +98,6 @@ impl WriterState {
         expired
     }
 
-    /// Processes a message of one segment together with its proof. This common case of small
-    /// messages uses no memory before verification. Returns `None` if the segments must be
-    /// processed one by one.
-    pub fn take_whole(
-        &mut self,
-        push: &mut Push<'_>,
-        body: &Segment<'_>,
-        proof: &Segment<'_>,
-    ) -> Option<Result<(), DropReason>> {
-        let header = &body.header;
-        let at = self.position(&header.session)?;
-        let session = &self.sessions[at];
-        let wanted = session.from.is_some_and(|from| header.sequence >= from)
-            && session.window.check(header.sequence).is_ok()
-            && !session.assemblies.contains_key(&(header.sequence, header.cut))
-            && Assembly::cost(header, push.shared.limits.max_message).is_ok();
-        if !wanted {
-            return None;
-        }
-        let scratch = std::mem::take(&mut push.scratch);
-        let result = self.whole(push, scratch, at, body, proof);
-        push.scratch = scratch;
-        result
-    }
-
-    fn whole(
-        &mut self,
-        push: &mut Push<'_>,
-        scratch: &mut [u8],
-        at: usize,
-        body: &Segment<'_>,
-        proof: &Segment<'_>,
-    ) -> Option<Result<(), DropReason>> {
-        let (body_place, rest) = scratch.split_at_mut(body.plaintext_len);
-        let proof_place = &mut rest[..proof.plaintext_len];
-        let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == body.header.epoch)?;
-        let session = &mut self.sessions[at];
-        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &session.id);
-        let aead = session.aeads.of(body.header.epoch, derive).ok()?;
-        body.open(aead, body_place).ok()?;
-        proof.open(aead, proof_place).ok()?;
-        push.out.segments.extend([body.id(), proof.id()]);
-        let digest = body.digest(push.shared.backend);
-        Some(self.deliver(push, at, &body.header, Cow::Borrowed(body_place), &[digest], proof_place))
-    }
-
     /// Processes one segment, from its header to delivery.
     pub fn take(&mut self, push: &mut Push<'_>, segment: &Segment<'_>) -> Result<(), DropReason> {
         let scratch = std::mem::take(&mut push.scratch);
@@ -156,19 +110,19 @@ impl WriterState {
         let header = &segment.header;
         let limits = &push.shared.limits;
         let cost = match header.kind {
-            Kind::Heartbeat => 0,
-            Kind::Body | Kind::Proof => Assembly::cost(header, limits.max_message)?,
+            Kind::Body | Kind::Last => Assembly::cost(header, limits.max_message)?,
+            Kind::Heartbeat | Kind::Bundle => 0,
         };
         if cost > limits.max_memory_per_source.min(limits.max_memory) {
             return Err(DropReason::TooLarge);
         }
         let place = (header.sequence, header.cut);
         let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == header.epoch).ok_or(DropReason::NoKey)?;
-        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &header.session);
-        let at = match self.position(&header.session) {
+        let derive = || key.session_key(push.shared.backend, &push.shared.name, &self.name, &header.session);
+        let (at, commitment) = match self.position(&header.session) {
             Some(at) => {
                 let session = &mut self.sessions[at];
-                let aead = session.aeads.of(header.epoch, derive)?;
+                let key = session.keys.of(header.epoch, derive)?;
                 if let Some(assembly) = session.assemblies.get_mut(&place)
                     && header.kind == Kind::Body
                     && assembly.fits(header)
@@ -176,34 +130,50 @@ impl WriterState {
                 {
                     // The common case of a large message: opened directly in its slot, without a
                     // copy.
-                    segment.open(aead, assembly.slot(header, segment.plaintext_len))?;
-                    assembly.mark(header, segment.plaintext_len, segment.digest(push.shared.backend));
+                    let slot = assembly.slot(header, segment.plaintext_len);
+                    segment.open(&key.aead, slot)?;
+                    let digest = push.shared.backend.sha256(&[&*slot]);
+                    assembly.mark(header, segment.plaintext_len, digest);
                     push.out.segments.push(segment.id());
                     return self.deliver_if_complete(push, at, header);
                 }
-                segment.open(aead, scratch)?;
-                at
+                segment.open(&key.aead, scratch)?;
+                (at, key.commitment)
             }
             None => {
-                let aead = derive().map_err(|_| DropReason::Internal)?;
-                segment.open(&aead, scratch)?;
+                let key = derive().map_err(|_| DropReason::Internal)?;
+                segment.open(&key.aead, scratch)?;
+                let commitment = key.commitment;
                 let mut session = Session::new(header.session);
-                session.aeads.of(header.epoch, || Ok(aead))?;
-                self.admit(push.shared, session)
+                session.keys.of(header.epoch, || Ok(key))?;
+                (self.admit(push.shared, session), commitment)
             }
         };
 
-        if header.sequence < self.sessions[at].from.ok_or(DropReason::Unvouched)? {
+        let last = header.sequence + u64::from(header.messages().saturating_sub(1));
+        if last < self.sessions[at].from.ok_or(DropReason::Unvouched)? {
             return Err(DropReason::Stale);
         }
         if header.kind == Kind::Heartbeat {
             return self.heartbeat(push, at, header, scratch);
         }
-        if let Err(reason) = self.sessions[at].window.check(header.sequence) {
-            // The window has moved past an incomplete message, which can no longer be delivered.
-            let freed = self.sessions[at].give_up(header.sequence);
-            self.free(push.shared, freed);
-            return Err(reason);
+        self.check_wanted(push, at, header)?;
+        let (part, proof) = match header.kind {
+            Kind::Last | Kind::Bundle => {
+                let (part, proof) = Proof::split(scratch).ok_or(DropReason::BadMessage)?;
+                (part, Some(proof))
+            }
+            Kind::Body | Kind::Heartbeat => (&*scratch, None),
+        };
+        if part.len() > header.size as usize || header.is_whole() && part.len() != header.size as usize {
+            return Err(DropReason::BadMessage);
+        }
+        let digest = push.shared.backend.sha256(&[part]);
+        if let Some(proof) = proof.filter(|_| header.is_whole()) {
+            // The common case of small messages uses no memory before verification.
+            push.out.segments.push(segment.id());
+            let signed = SignedParts { commitment, digests: &[digest], proof };
+            return self.deliver(push, at, header, Cow::Borrowed(part), signed);
         }
         match self.sessions[at].assemblies.get(&place) {
             Some(assembly) if !assembly.fits(header) => return Err(DropReason::Inconsistent),
@@ -211,18 +181,32 @@ impl WriterState {
             Some(_) => {}
             None => {
                 self.make_room(push, at, place, cost)?;
-                self.begin_assembly(push.shared, push.now, at, header, cost);
+                self.begin_assembly(push, at, header, commitment, cost);
             }
         }
         let assembly = self.sessions[at].assemblies.get_mut(&place).ok_or(DropReason::Internal)?;
-        if header.kind == Kind::Proof {
-            assembly.set_proof(scratch);
-        } else {
-            assembly.slot(header, scratch.len()).copy_from_slice(scratch);
-            assembly.mark(header, scratch.len(), segment.digest(push.shared.backend));
+        assembly.slot(header, part.len()).copy_from_slice(part);
+        assembly.mark(header, part.len(), digest);
+        if proof.is_some() {
+            assembly.set_proof(&scratch[part.len()..]);
         }
         push.out.segments.push(segment.id());
         self.deliver_if_complete(push, at, header)
+    }
+
+    /// Checks that a message of the segment may still be delivered.
+    fn check_wanted(&mut self, push: &mut Push<'_>, at: usize, header: &SegmentHeader) -> Result<(), DropReason> {
+        let session = &mut self.sessions[at];
+        let from = session.from.unwrap_or(0);
+        let wanted = (header.sequence..).take(header.messages() as usize).filter(|sequence| *sequence >= from);
+        let checked = wanted.map(|sequence| session.window.check(sequence)).reduce(Result::or);
+        let result = checked.unwrap_or(Err(DropReason::Stale));
+        if result.is_err() {
+            // The window has moved past an incomplete message, which can no longer be delivered.
+            let freed = session.give_up(header.sequence);
+            self.free(push.shared, freed);
+        }
+        result
     }
 
     fn position(&self, id: &[u8; 16]) -> Option<usize> {
@@ -256,7 +240,7 @@ impl WriterState {
         }
         let (body, signature) = HeartbeatBody::parse(plaintext).ok_or(DropReason::BadMessage)?;
         let statement = body.statement(&push.shared.name, &self.name, header);
-        self.verifier.verify(&statement, signature).map_err(|_| DropReason::BadSignature)?;
+        self.verifier.verify(&statement, signature).map_err(unsigned)?;
         check_age(push, body.timestamp_ns)?;
         session.heartbeat = header.index;
         push.out.heartbeats.push(Heartbeat {
@@ -270,16 +254,17 @@ impl WriterState {
 
     fn begin_assembly(
         &mut self,
-        shared: &mut ReaderContext,
-        now: Timestamps,
+        push: &mut Push<'_>,
         at: usize,
         header: &SegmentHeader,
+        commitment: [u8; 32],
         cost: usize,
     ) {
-        let timeout_factor = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
-        let deadline = now.steady_ns.saturating_add(timeout_factor);
+        let shared = &mut *push.shared;
+        let timeout = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
+        let deadline = push.now.steady_ns.saturating_add(timeout);
         let place = (header.sequence, header.cut);
-        self.sessions[at].assemblies.insert(place, Assembly::new(header, deadline, cost));
+        self.sessions[at].assemblies.insert(place, Assembly::new(header, commitment, deadline, cost));
         self.memory += cost;
         shared.memory += cost;
         shared.next_deadline = shared.next_deadline.min(deadline);
@@ -325,89 +310,8 @@ impl WriterState {
         all.min().map(|(_, at, place)| (at, place))
     }
 
-    fn deliver_if_complete(
-        &mut self,
-        push: &mut Push<'_>,
-        at: usize,
-        header: &SegmentHeader,
-    ) -> Result<(), DropReason> {
-        let assemblies = &mut self.sessions[at].assemblies;
-        let place = (header.sequence, header.cut);
-        if !assemblies.get(&place).is_some_and(Assembly::is_complete) {
-            return Ok(());
-        }
-        let assembly = assemblies.remove(&place).ok_or(DropReason::Internal)?;
-        self.free(push.shared, assembly.cost);
-        let (plaintext, digests, proof) = assembly.into_parts();
-        self.deliver(push, at, header, Cow::Owned(plaintext), &digests, &proof)
-    }
-
-    /// Delivers a complete and opened message, if the writer signed it and it is still wanted.
-    fn deliver(
-        &mut self,
-        push: &mut Push<'_>,
-        at: usize,
-        header: &SegmentHeader,
-        plaintext: Cow<'_, [u8]>,
-        digests: &[[u8; 32]],
-        proof: &[u8],
-    ) -> Result<(), DropReason> {
-        let result = self.deliver_signed(push, at, header, plaintext, digests, proof);
-        if let Err(reason) = result {
-            let again = !matches!(reason, DropReason::TooOld | DropReason::TooLarge);
-            push.out.lost.push(Lost { session: header.session, sequence: header.sequence, again });
-        }
-        result
-    }
-
-    fn deliver_signed(
-        &mut self,
-        push: &mut Push<'_>,
-        at: usize,
-        header: &SegmentHeader,
-        plaintext: Cow<'_, [u8]>,
-        digests: &[[u8; 32]],
-        proof: &[u8],
-    ) -> Result<(), DropReason> {
-        let ReaderContext { backend, name, limits, .. } = &*push.shared;
-        let leaf = wire::leaf(*backend, name, &self.name, header, digests);
-        let proof = Proof::parse(proof).ok_or(DropReason::BadMessage)?;
-        let is_signed = |root: &[u8; 32]| -> Result<(), CryptoError> {
-            self.verifier.verify(&wire::batch_statement(root), proof.signature)
-        };
-        self.signed
-            .verify(*backend, leaf, proof.position, proof.path, is_signed)
-            .map_err(|_| DropReason::BadSignature)?;
-        let preamble = Preamble::parse(&plaintext).ok_or(DropReason::BadMessage)?;
-        if plaintext.len() - preamble.body_at > limits.max_message {
-            return Err(DropReason::TooLarge);
-        }
-        check_age(push, preamble.timestamp_ns)?;
-        self.accept(push.shared, at, header.sequence)?;
-        let mut body = match plaintext {
-            Cow::Owned(plaintext) => Bytes::from(plaintext),
-            Cow::Borrowed(plaintext) => Bytes::copy_from_slice(plaintext),
-        };
-        let origin = body.slice(preamble.origin);
-        body.advance(preamble.body_at);
-        push.out.messages.push(Message {
-            name: push.shared.name,
-            writer: self.name,
-            session: header.session,
-            sequence: header.sequence,
-            timestamp_ns: preamble.timestamp_ns,
-            encoding: preamble.encoding,
-            in_reply_to: preamble.in_reply_to,
-            origin,
-            latched: preamble.latched,
-            service: preamble.service,
-            body,
-        });
-        Ok(())
-    }
-
     /// Marks a verified message as delivered. Its other cuts are no longer needed.
-    fn accept(&mut self, shared: &mut ReaderContext, at: usize, sequence: u64) -> Result<(), DropReason> {
+    pub(super) fn accept(&mut self, shared: &mut ReaderContext, at: usize, sequence: u64) -> Result<(), DropReason> {
         self.clock += 1;
         let session = &mut self.sessions[at];
         session.window.check(sequence)?;
@@ -424,13 +328,8 @@ impl WriterState {
         shared.count(DropReason::Evicted, session.assemblies.len() as u64);
     }
 
-    fn free(&mut self, shared: &mut ReaderContext, bytes: usize) {
+    pub(super) fn free(&mut self, shared: &mut ReaderContext, bytes: usize) {
         self.memory -= bytes;
         shared.memory -= bytes;
     }
-}
-
-fn check_age(push: &Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {
-    let age = u128::from(push.now.unix_ns.saturating_sub(timestamp_ns));
-    if age > push.shared.limits.max_age.as_nanos() { Err(DropReason::TooOld) } else { Ok(()) }
 }

@@ -1,17 +1,19 @@
-//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, heartbeat, and
-//! the hashes that bind them. Only encoding and bounds; the module has no state. All integers are
-//! big-endian.
+//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, and the hashes
+//! that bind them. Only encoding and bounds; the module has no state. All integers are big-endian.
 
+use super::DropReason;
+use super::message::{BUNDLED_HEADER_LEN, TIMESTAMP_LEN};
 use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
 
-const MESSAGE_CONTEXT: &[u8] = b"gdp/message/1";
-const BATCH_CONTEXT: &[u8] = b"gdp/batch/1";
-const HEARTBEAT_CONTEXT: &[u8] = b"gdp/heartbeat/1";
+const MESSAGE_CONTEXT: &[u8] = b"gdp/message/2";
+const BUNDLE_CONTEXT: &[u8] = b"gdp/bundle/2";
+const BATCH_CONTEXT: &[u8] = b"gdp/batch/2";
 
-pub const VERSION: u8 = 2;
-const FLAG_PROOF: u8 = 1;
-const FLAG_HEARTBEAT: u8 = 2;
+pub const VERSION: u8 = 3;
+/// The low bits of the second byte are the kind. The high bits are flags that no reader needs to
+/// know, so that readers skip unknown ones.
+const KIND: u8 = 0x0f;
 pub const HEADER_LEN: usize = 44;
 /// Overhead of a segment besides its plaintext.
 pub const OVERHEAD: usize = HEADER_LEN + TAG_LEN;
@@ -23,7 +25,11 @@ pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 /// The last cut of a message.
 pub const MAX_CUT: u16 = u16::MAX - 1;
 /// The cut of all heartbeats, so that their nonces differ from those of messages.
-const HEARTBEAT_CUT: u16 = u16::MAX;
+pub const HEARTBEAT_CUT: u16 = u16::MAX;
+
+/// Plaintext bytes of a heartbeat before its signature, and in all.
+pub const HEARTBEAT_CLAIMS: usize = 16;
+pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
 
 pub const MAX_DEPTH: usize = 16;
 /// Maximum number of messages under one signature.
@@ -36,12 +42,14 @@ pub const MIN_PAYLOAD: usize = OVERHEAD + proof_len(0);
 /// The contents of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A part of a message.
+    /// A part of a message, but not its end.
     Body,
-    /// The position of the message in a signed tree.
-    Proof,
+    /// The end of a message, possibly empty, and the message's proof.
+    Last,
     /// The progress of the session.
     Heartbeat,
+    /// Several whole messages and their common proof.
+    Bundle,
 }
 
 /// The clear header before every segment's ciphertext, authenticated as a whole.
@@ -50,44 +58,32 @@ pub struct SegmentHeader {
     pub kind: Kind,
     /// Length of the ciphertext including its tag.
     pub sealed_len: u16,
-    /// Index of the segment; for a heartbeat, its number in the session.
+    /// Index of the segment; of a bundle: 0; of a heartbeat: its number in the session.
     pub index: u32,
-    /// Sequence of the message; for a heartbeat, that of the next message. 48 bits.
+    /// Sequence of the message, of a bundle's first message, or of the message after a heartbeat.
+    /// 48 bits.
     pub sequence: u64,
     /// Number of earlier cuts of the message. Heartbeats use a reserved cut.
     pub cut: u16,
     pub session: [u8; 16],
-    /// Number of body segments of the message, without the proof.
+    /// Number of segments of the message, or of messages in a bundle.
     pub count: u32,
-    /// Plaintext bytes of every body segment except the last, which may be shorter.
+    /// Plaintext bytes of a message in each of its segments but the last ones, which may be
+    /// shorter; of a bundle: plaintext bytes of its messages.
     pub size: u32,
     /// Epoch of the writer's key that the segment is sealed under.
     pub epoch: u32,
 }
 
 impl SegmentHeader {
-    /// Returns the header of the `number`th heartbeat of a session.
-    pub fn heartbeat(session: [u8; 16], number: u32, next: u64, epoch: u32) -> Self {
-        Self {
-            kind: Kind::Heartbeat,
-            sealed_len: (HEARTBEAT_LEN + TAG_LEN) as u16,
-            index: number,
-            sequence: next,
-            cut: HEARTBEAT_CUT,
-            session,
-            count: 0,
-            size: 0,
-            epoch,
-        }
-    }
-
     pub fn to_bytes(self) -> [u8; HEADER_LEN] {
         let mut bytes = [0u8; HEADER_LEN];
         bytes[0] = VERSION;
         bytes[1] = match self.kind {
             Kind::Body => 0,
-            Kind::Proof => FLAG_PROOF,
-            Kind::Heartbeat => FLAG_HEARTBEAT,
+            Kind::Last => 1,
+            Kind::Heartbeat => 2,
+            Kind::Bundle => 3,
         };
         bytes[2..4].copy_from_slice(&self.sealed_len.to_be_bytes());
         bytes[4..8].copy_from_slice(&self.index.to_be_bytes());
@@ -99,18 +95,22 @@ impl SegmentHeader {
         bytes
     }
 
-    /// Returns `None` for another version or unknown flags.
-    pub fn parse(bytes: &[u8; HEADER_LEN]) -> Option<Self> {
+    /// Fails for another version and for unknown kinds. Skips unknown flags.
+    pub fn parse(bytes: &[u8; HEADER_LEN]) -> Result<Self, DropReason> {
         let word = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-        let kind = match (bytes[0], bytes[1]) {
-            (VERSION, 0) => Kind::Body,
-            (VERSION, FLAG_PROOF) => Kind::Proof,
-            (VERSION, FLAG_HEARTBEAT) => Kind::Heartbeat,
-            _ => return None,
+        if bytes[0] != VERSION {
+            return Err(DropReason::OtherVersion);
+        }
+        let kind = match bytes[1] & KIND {
+            0 => Kind::Body,
+            1 => Kind::Last,
+            2 => Kind::Heartbeat,
+            3 => Kind::Bundle,
+            _ => return Err(DropReason::Unsupported),
         };
         let mut session = [0u8; 16];
         session.copy_from_slice(&bytes[16..32]);
-        Some(Self {
+        Ok(Self {
             kind,
             sealed_len: u16::from_be_bytes([bytes[2], bytes[3]]),
             index: word(4),
@@ -128,15 +128,46 @@ impl SegmentHeader {
         let len = usize::from(self.sealed_len).checked_sub(TAG_LEN)?;
         let size = self.size as usize;
         let of_message = self.cut <= MAX_CUT && self.count > 0 && (1..=MAX_PLAINTEXT).contains(&size);
+        let behind = self.index.checked_add(1)?;
         let fits = match self.kind {
-            Kind::Body if self.index.checked_add(1)? == self.count => of_message && (1..=size).contains(&len),
-            Kind::Body => of_message && self.index < self.count && len == size,
-            Kind::Proof => of_message && self.index == self.count && is_proof_len(len),
+            // If the end of the message leaves no room for the proof, it comes in the segment
+            // before the last.
+            Kind::Body if behind.checked_add(1)? == self.count => of_message && (1..=size).contains(&len),
+            Kind::Body => of_message && behind < self.count && len == size,
+            Kind::Last if self.count == 1 => of_message && self.index == 0 && is_proof_len(len.checked_sub(size)?),
+            Kind::Last => {
+                of_message && behind == self.count && (proof_len(0)..=size + proof_len(MAX_DEPTH)).contains(&len)
+            }
+            Kind::Bundle => {
+                let behind = self.sequence.checked_add(self.count.into())?;
+                // What follows from the count must not cost more than the segment itself.
+                let has_room = self.count as usize <= size.saturating_sub(TIMESTAMP_LEN) / BUNDLED_HEADER_LEN;
+                let is_bundle = of_message && self.count > 1 && has_room && behind <= MAX_SEQUENCE + 1;
+                is_bundle && self.index == 0 && is_proof_len(len.checked_sub(size)?)
+            }
             Kind::Heartbeat => {
                 self.cut == HEARTBEAT_CUT && self.count == 0 && size == 0 && self.index > 0 && len == HEARTBEAT_LEN
             }
         };
         (fits && self.sequence > 0).then_some(len)
+    }
+
+    /// Returns whether the segment by itself is one message or several.
+    pub fn is_whole(&self) -> bool {
+        match self.kind {
+            Kind::Last => self.count == 1,
+            Kind::Bundle => true,
+            Kind::Body | Kind::Heartbeat => false,
+        }
+    }
+
+    /// Returns the number of messages of which the segment is a part.
+    pub fn messages(&self) -> u32 {
+        match self.kind {
+            Kind::Body | Kind::Last => 1,
+            Kind::Bundle => self.count,
+            Kind::Heartbeat => 0,
+        }
     }
 
     /// Returns whether `other` is a segment of the same message, in the same cut and under the same
@@ -159,19 +190,20 @@ impl SegmentHeader {
     }
 }
 
-const PROOF_HEADER_LEN: usize = 4;
+/// Bytes behind path and signature: position, depth, and one reserved byte.
+const PROOF_END_LEN: usize = 4;
 
-/// Returns the plaintext length of a proof with a path of `depth` hashes.
+/// Returns the length of a proof with a path of `depth` hashes.
 pub const fn proof_len(depth: usize) -> usize {
-    PROOF_HEADER_LEN + 32 * depth + SIGNATURE_LEN
+    32 * depth + SIGNATURE_LEN + PROOF_END_LEN
 }
 
 fn is_proof_len(len: usize) -> bool {
     len >= proof_len(0) && len <= proof_len(MAX_DEPTH) && (len - proof_len(0)).is_multiple_of(32)
 }
 
-/// The position of the message's leaf in the signed tree, the path to the root, and the signature
-/// of the root.
+/// The path from the leaf to the root of the signed tree, the signature of the root, and the leaf's
+/// position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Proof<'a> {
     pub position: u16,
@@ -182,36 +214,47 @@ pub struct Proof<'a> {
 impl<'a> Proof<'a> {
     /// Writes the proof into `out`, which has [`proof_len`] bytes.
     pub fn write(&self, out: &mut [u8]) {
-        out[..2].copy_from_slice(&self.position.to_be_bytes());
-        out[2] = self.path.len() as u8;
-        out[3] = 0;
-        let (path, signature) = out[PROOF_HEADER_LEN..].split_at_mut(32 * self.path.len());
+        let (path, rest) = out.split_at_mut(32 * self.path.len());
+        let (signature, end) = rest.split_at_mut(SIGNATURE_LEN);
         path.copy_from_slice(self.path.as_flattened());
         signature.copy_from_slice(self.signature);
+        let [high, low] = self.position.to_be_bytes();
+        end.copy_from_slice(&[high, low, self.path.len() as u8, 0]);
     }
 
-    pub fn parse(plaintext: &'a [u8]) -> Option<Self> {
-        let (&[p0, p1, depth, reserved], rest) = plaintext.split_first_chunk::<PROOF_HEADER_LEN>()?;
+    /// Splits the plaintext of a segment into its part of the message, and the proof at its end.
+    pub fn split(plaintext: &'a [u8]) -> Option<(&'a [u8], Self)> {
+        let (rest, &[p0, p1, depth, reserved]) = plaintext.split_last_chunk::<PROOF_END_LEN>()?;
+        let (rest, signature) = rest.split_last_chunk::<SIGNATURE_LEN>()?;
         let depth = usize::from(depth);
-        if reserved != 0 || depth > MAX_DEPTH || plaintext.len() != proof_len(depth) {
+        if reserved != 0 || depth > MAX_DEPTH {
             return None;
         }
-        let (path, signature) = rest.split_at_checked(32 * depth)?;
+        let (part, path) = rest.split_at_checked(rest.len().checked_sub(32 * depth)?)?;
         let position = u16::from_be_bytes([p0, p1]);
-        (u32::from(position) >> depth == 0).then_some(Self {
-            position,
-            path: path.as_chunks::<32>().0,
-            signature: signature.try_into().ok()?,
-        })
+        let proof = Self { position, path: path.as_chunks::<32>().0, signature };
+        (u32::from(position) >> depth == 0).then_some((part, proof))
     }
 }
 
-/// Returns the leaf of a message in the signed tree. `digests` are the SHA-256 of each body
-/// segment's ciphertext with its tag, in order.
-pub fn leaf(backend: Backend, name: &Name, writer: &Name, header: &SegmentHeader, digests: &[[u8; 32]]) -> [u8; 32] {
+/// Returns the leaf of a message or a bundle in the signed tree. `commitment` is that of the
+/// session's key, and `digests` are the SHA-256 of each segment's plaintext without the proof, in
+/// order.
+///
+/// The commitment binds the signature to the key, so that a message that was signed under one key
+/// of an epoch does not count under another one.
+pub fn leaf(
+    backend: Backend,
+    commitment: &[u8; 32],
+    (name, writer): (&Name, &Name),
+    header: &SegmentHeader,
+    digests: &[[u8; 32]],
+) -> [u8; 32] {
+    let context = if header.kind == Kind::Bundle { BUNDLE_CONTEXT } else { MESSAGE_CONTEXT };
     // Sequence, cut, session, count, size and epoch.
     let message = &header.to_bytes()[8..];
-    backend.sha256(&[&[0], MESSAGE_CONTEXT, name.as_bytes(), writer.as_bytes(), message, digests.as_flattened()])
+    let (name, writer) = (name.as_bytes(), writer.as_bytes());
+    backend.sha256(&[&[0], context, commitment, name, writer, message, digests.as_flattened()])
 }
 
 /// Returns the signed statement for the tree with this root.
@@ -220,59 +263,6 @@ pub fn batch_statement(root: &[u8; 32]) -> [u8; BATCH_CONTEXT.len() + 32] {
     statement[..BATCH_CONTEXT.len()].copy_from_slice(BATCH_CONTEXT);
     statement[BATCH_CONTEXT.len()..].copy_from_slice(root);
     statement
-}
-
-/// Plaintext bytes of a heartbeat.
-pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
-const HEARTBEAT_CLAIMS: usize = 16;
-const HEARTBEAT_STATEMENT: usize = HEARTBEAT_CONTEXT.len() + 64 + 28 + HEARTBEAT_CLAIMS;
-
-/// The contents of a heartbeat in addition to its header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HeartbeatBody {
-    pub timestamp_ns: u64,
-    /// The sequence of the oldest message that the writer can repeat.
-    pub oldest: u64,
-}
-
-impl HeartbeatBody {
-    /// Returns the plaintext. `signature` is that of the [statement](Self::statement).
-    pub fn to_bytes(self, signature: &[u8; SIGNATURE_LEN]) -> [u8; HEARTBEAT_LEN] {
-        let mut bytes = [0u8; HEARTBEAT_LEN];
-        bytes[..HEARTBEAT_CLAIMS].copy_from_slice(&self.claims());
-        bytes[HEARTBEAT_CLAIMS..].copy_from_slice(signature);
-        bytes
-    }
-
-    pub fn parse(plaintext: &[u8]) -> Option<(Self, &[u8; SIGNATURE_LEN])> {
-        let (&[t0, t1, t2, t3, t4, t5, t6, t7, o0, o1, o2, o3, o4, o5, o6, o7], signature) =
-            plaintext.split_first_chunk::<HEARTBEAT_CLAIMS>()?;
-        let timestamp_ns = u64::from_be_bytes([t0, t1, t2, t3, t4, t5, t6, t7]);
-        let oldest = u64::from_be_bytes([o0, o1, o2, o3, o4, o5, o6, o7]);
-        Some((Self { timestamp_ns, oldest }, signature.try_into().ok()?))
-    }
-
-    /// Returns the statement that the writer signs.
-    pub fn statement(&self, name: &Name, writer: &Name, header: &SegmentHeader) -> [u8; HEARTBEAT_STATEMENT] {
-        let mut statement = [0u8; HEARTBEAT_STATEMENT];
-        let mut rest = &mut statement[..];
-        // Number, next sequence and session from the header.
-        let parts: [&[u8]; 5] =
-            [HEARTBEAT_CONTEXT, name.as_bytes(), writer.as_bytes(), &header.to_bytes()[4..32], &self.claims()];
-        for part in parts {
-            let (place, behind) = rest.split_at_mut(part.len());
-            place.copy_from_slice(part);
-            rest = behind;
-        }
-        statement
-    }
-
-    fn claims(&self) -> [u8; HEARTBEAT_CLAIMS] {
-        let mut claims = [0u8; HEARTBEAT_CLAIMS];
-        claims[..8].copy_from_slice(&self.timestamp_ns.to_be_bytes());
-        claims[8..].copy_from_slice(&self.oldest.to_be_bytes());
-        claims
-    }
 }
 
 #[cfg(test)]

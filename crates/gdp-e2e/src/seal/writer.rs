@@ -1,17 +1,20 @@
 //! The writer of a session: message in, frame payloads out. Allocates nothing per frame, and
 //! nothing per message once the buffers have grown.
 
-use super::MAX_BATCH;
+use super::heartbeat::HeartbeatBody;
 use super::merkle::{self, Tree};
-use super::message::{Draft, Encoding, MAX_ORIGIN, Preamble};
+use super::message::{Draft, Encoding, Preamble};
+use super::plan::{Unit, plan};
+use super::seal_error::SealError;
 use super::segment::Segment;
 use super::segments::Segments;
 use super::used_cuts::UsedCuts;
-use super::wire::{self, HeartbeatBody, Kind, OVERHEAD, Proof, SegmentHeader};
+use super::wire::{self, Kind, OVERHEAD, Proof, SegmentHeader};
+use super::{DropReason, MAX_BATCH};
 use gdp_core::crypto;
-use gdp_core::crypto::{Aead, Backend, CryptoError, Signer, TAG_LEN};
+use gdp_core::crypto::{Backend, Signer, TAG_LEN};
 use gdp_core::identity::SigningKey;
-use gdp_core::keys::EpochKey;
+use gdp_core::keys::{EpochKey, SessionKey};
 use gdp_core::name::Name;
 use std::collections::VecDeque;
 use std::fmt;
@@ -21,30 +24,6 @@ const EPOCHS_KEPT: usize = 15;
 
 /// Maximum number of segments under the key of a session and an epoch.
 pub const MAX_SEGMENTS: u64 = 1 << 32;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SealError {
-    #[error("frame payloads of {max_payload} bytes are too small: {need} are needed; raise the link's MTU")]
-    PayloadTooSmall { max_payload: usize, need: usize },
-    #[error("a message of {len} bytes needs more than 2^32 segments of {size} bytes")]
-    MessageTooLarge { len: usize, size: usize },
-    #[error("a batch of {0} messages where at most {MAX_BATCH} may share a signature")]
-    BatchTooLarge(usize),
-    #[error("an origin of {0} bytes where at most {MAX_ORIGIN} are allowed")]
-    OriginTooLong(usize),
-    #[error("this session has used all its sequence numbers; start a new one")]
-    SequenceExhausted,
-    #[error("there is no key to seal with yet; set that of an epoch")]
-    NoEpoch,
-    #[error("epoch {epoch} does not follow epoch {current}; the numbers of epochs only rise")]
-    EpochGoesBack { epoch: u32, current: u32 },
-    #[error("the key of epoch {0} has sealed as much as it may; begin another epoch")]
-    EpochExhausted(u32),
-    #[error("message {sequence} cannot be sealed under cut {cut}: {why}")]
-    Cut { sequence: u64, cut: u16, why: &'static str },
-    #[error(transparent)]
-    Crypto(#[from] CryptoError),
-}
 
 /// One session of one writer of a name. Every `Writer` is a new session with a random identifier of
 /// 128 bits. A restarted or second writer therefore never repeats a nonce under the same key. The
@@ -69,7 +48,7 @@ pub struct Writer {
 /// The key of an epoch, for sealing.
 struct Epoch {
     number: u32,
-    aead: Aead,
+    key: SessionKey,
     /// Number of sealed segments.
     used: u64,
 }
@@ -77,9 +56,10 @@ struct Epoch {
 /// Buffers that are reused for every message.
 #[derive(Default)]
 struct Scratch {
+    units: Vec<Unit>,
     digests: Vec<[u8; 32]>,
     leaves: Vec<[u8; 32]>,
-    pending: Vec<PendingProof>,
+    pending: Vec<Pending>,
     tree: Tree,
     path: Vec<[u8; 32]>,
 }
@@ -92,8 +72,8 @@ struct SigningRun {
     timestamp_ns: u64,
 }
 
-/// A proof segment with a reserved slot, which is filled when the root is signed.
-struct PendingProof {
+/// A segment that is sealed when the root is signed. Its plaintext ends with room for the proof.
+struct Pending {
     at: usize,
     header: SegmentHeader,
 }
@@ -138,11 +118,11 @@ impl Writer {
         {
             return Err(SealError::EpochGoesBack { epoch, current });
         }
-        let aead = key.session_aead(self.backend, &self.name, &self.writer, &self.session)?;
+        let key = key.session_key(self.backend, &self.name, &self.writer, &self.session)?;
         if self.before.len() == EPOCHS_KEPT {
             self.before.pop_front();
         }
-        self.before.extend(self.epoch.replace(Epoch { number: epoch, aead, used: 0 }));
+        self.before.extend(self.epoch.replace(Epoch { number: epoch, key, used: 0 }));
         Ok(())
     }
 
@@ -230,7 +210,7 @@ impl Writer {
 
     /// Seals segments of the last 16 epochs of this session again, for another payload size.
     /// `sealed` contains all segments of whole messages, concatenated. Equivalent to
-    /// [`Self::reseal`] for each message.
+    /// [`Self::reseal`] for each message, except that the messages of a bundle are signed together.
     pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
@@ -240,24 +220,32 @@ impl Writer {
         let (mut rest, mut plaintext) = (sealed, Vec::new());
         while let Ok((segment, behind)) = Segment::split(rest) {
             rest = behind;
-            let sequence = segment.header.sequence;
+            let SegmentHeader { kind, sequence, count, .. } = segment.header;
             let refused = |why| SealError::Cut { sequence, cut, why };
-            if segment.header.kind == Kind::Body {
-                let mut epochs = self.epoch.iter().chain(&self.before);
-                let epoch = epochs.find(|epoch| epoch.number == segment.header.epoch);
-                let epoch = epoch.ok_or(refused("the key it was sealed under is gone"))?;
-                let at = plaintext.len();
-                plaintext.resize(at + segment.plaintext_len, 0);
-                let opened = segment.open(&epoch.aead, &mut plaintext[at..]);
-                opened.map_err(|_| refused("it is none of this session"))?;
+            let foreign = |_| refused("it is none of this session");
+            let mut epochs = self.epoch.iter().chain(&self.before);
+            let epoch = epochs.find(|epoch| epoch.number == segment.header.epoch);
+            let epoch = epoch.ok_or(refused("the key it was sealed under is gone"))?;
+            let at = plaintext.len();
+            plaintext.resize(at + segment.plaintext_len, 0);
+            segment.open(&epoch.key.aead, &mut plaintext[at..]).map_err(foreign)?;
+            if kind == Kind::Body {
                 continue;
             }
-            let preamble = Preamble::parse(&plaintext).ok_or(refused("it is none of this session"))?;
-            let messages = [preamble.draft(&plaintext)];
-            let epoch = self.spend(&messages, max_payload)?;
-            self.used_cuts.take(sequence, cut).map_err(refused)?;
-            let run = SigningRun { epoch, first: sequence, cut, timestamp_ns: preamble.timestamp_ns };
-            self.seal_run(run, &messages, max_payload, out)?;
+            let (part, _) = Proof::split(&plaintext[at..]).ok_or(DropReason::BadMessage).map_err(foreign)?;
+            plaintext.truncate(at + part.len());
+            let messages = match kind {
+                Kind::Bundle => Preamble::parse_bundle(&plaintext, count).map_err(foreign)?,
+                _ => vec![Preamble::parse(&plaintext).map_err(foreign)?],
+            };
+            let timestamp_ns = messages.first().map_or(0, |message| message.timestamp_ns);
+            let drafts: Vec<_> = messages.iter().map(|message| message.draft(&plaintext)).collect();
+            let epoch = self.spend(&drafts, max_payload)?;
+            for sequence in (sequence..).take(drafts.len()) {
+                self.used_cuts.take(sequence, cut).map_err(refused)?;
+            }
+            let run = SigningRun { epoch, first: sequence, cut, timestamp_ns };
+            self.seal_run(run, &drafts, max_payload, out)?;
             plaintext.clear();
         }
         Ok(())
@@ -277,20 +265,16 @@ impl Writer {
         let signature = self.signer.sign(&body.statement(&self.name, &self.writer, &header))?;
         let mut plaintext = body.to_bytes(&signature);
         let clear = header.to_bytes();
-        let tag = self.aead()?.seal(&header.nonce(), &clear, &mut plaintext)?;
+        let tag = self.key()?.aead.seal(&header.nonce(), &clear, &mut plaintext)?;
         out.begin(wire::HEADER_LEN + usize::from(header.sealed_len), usize::MAX);
         [&clear[..], &plaintext, &tag].iter().for_each(|part| out.buffer().extend_from_slice(part));
         Ok(())
     }
 
-    /// Checks that the messages can be sealed, and counts their segments towards the limit. Returns
-    /// the epoch.
+    /// Plans the segments of the messages, and counts them towards the limit. Returns the epoch.
     fn spend(&mut self, messages: &[Draft<'_>], max_payload: usize) -> Result<u32, SealError> {
-        let depth = merkle::depth(messages.len());
-        let mut segments = 0;
-        for message in messages {
-            segments += u64::from(Cut::new(message, max_payload, depth)?.count) + 1;
-        }
+        plan(messages, max_payload, &mut self.scratch.units)?;
+        let segments = self.scratch.units.iter().map(|unit| u64::from(unit.segments)).sum();
         self.spend_segments(segments)
     }
 
@@ -303,61 +287,88 @@ impl Writer {
         Ok(epoch.number)
     }
 
-    fn aead(&self) -> Result<&Aead, SealError> {
-        self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)
+    fn key(&self) -> Result<&SessionKey, SealError> {
+        self.epoch.as_ref().map(|epoch| &epoch.key).ok_or(SealError::NoEpoch)
     }
 
+    /// Seals the messages as planned.
     fn seal_run(
         &mut self,
-        SigningRun { epoch, first, cut, timestamp_ns }: SigningRun,
+        run: SigningRun,
         messages: &[Draft<'_>],
         max_payload: usize,
         out: &mut Segments,
     ) -> Result<(), SealError> {
-        let depth = merkle::depth(messages.len());
+        let units = std::mem::take(&mut self.scratch.units);
+        let result = self.seal_units(&run, &units, messages, max_payload, out);
+        self.scratch.units = units;
+        result
+    }
+
+    fn seal_units(
+        &mut self,
+        run: &SigningRun,
+        units: &[Unit],
+        messages: &[Draft<'_>],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        let proof_len = wire::proof_len(merkle::depth(units.len()));
         self.scratch.leaves.clear();
         self.scratch.pending.clear();
-        for (sequence, message) in (first..).zip(messages) {
-            let Cut { count, size } = Cut::new(message, max_payload, depth)?;
+        let (mut sequence, mut rest) = (run.first, messages);
+        for unit in units {
+            let (of_unit, behind) = rest.split_at(unit.messages);
+            let is_bundle = unit.messages > 1;
             let header = SegmentHeader {
-                kind: Kind::Body,
+                kind: if is_bundle { Kind::Bundle } else { Kind::Body },
                 sealed_len: 0,
                 index: 0,
                 sequence,
-                cut,
+                cut: run.cut,
                 session: self.session,
-                count,
-                size,
-                epoch,
+                count: if is_bundle { unit.messages as u32 } else { unit.segments },
+                size: unit.size,
+                epoch: run.epoch,
             };
-            let preamble = &message.preamble(timestamp_ns)[..message.preamble_len()];
-            self.seal_body(header, preamble, message.body, max_payload, out)?;
-            self.scratch.leaves.push(wire::leaf(
-                self.backend,
-                &self.name,
-                &self.writer,
-                &header,
-                &self.scratch.digests,
-            ));
-            self.reserve_proof(header, depth, max_payload, out);
+            (sequence, rest) = (sequence + unit.messages as u64, behind);
+            self.scratch.digests.clear();
+            match of_unit {
+                [message] => {
+                    let preamble = &message.preamble(run.timestamp_ns)[..message.preamble_len()];
+                    self.seal_body(header, preamble, message.body, (proof_len, max_payload), out)?;
+                }
+                bundled => {
+                    let fill = |buffer: &mut Vec<u8>| {
+                        buffer.extend_from_slice(&run.timestamp_ns.to_be_bytes());
+                        bundled.iter().for_each(|message| message.bundle_into(buffer));
+                    };
+                    self.prepare(header, unit.size as usize, fill, (proof_len, max_payload), out);
+                }
+            }
+            let (commitment, place) = (&self.key()?.commitment, (&self.name, &self.writer));
+            let leaf = wire::leaf(self.backend, commitment, place, &header, &self.scratch.digests);
+            self.scratch.leaves.push(leaf);
         }
-        self.seal_proofs(out)
+        self.seal_pending(out)
     }
 
-    /// Seals the body segments of one message. Leaves their digests in the scratch buffers.
+    /// Seals the segments of one message, and prepares the last one. Leaves the digests of their
+    /// plaintexts in the scratch buffers.
     fn seal_body(
         &mut self,
         mut header: SegmentHeader,
         preamble: &[u8],
         body: &[u8],
-        max_payload: usize,
+        (proof_len, max_payload): (usize, usize),
         out: &mut Segments,
     ) -> Result<(), SealError> {
-        self.scratch.digests.clear();
         let (mut head, mut rest) = (preamble, body);
-        for index in 0..header.count {
-            let from_head = split_off_front(&mut head, header.size as usize);
-            let from_body = split_off_front(&mut rest, header.size as usize - from_head.len());
+        let (last, capacity) = (header.count - 1, header.size as usize);
+        for index in 0..last {
+            // If the end of the message leaves no room for the proof, the last segment is empty.
+            let from_head = split_off_front(&mut head, capacity);
+            let from_body = split_off_front(&mut rest, capacity - from_head.len());
             let len = from_head.len() + from_body.len();
             header.index = index;
             header.sealed_len = (len + TAG_LEN) as u16;
@@ -369,36 +380,54 @@ impl Writer {
             buffer.extend_from_slice(from_head);
             buffer.extend_from_slice(from_body);
             let sealed = at + wire::HEADER_LEN;
-            let tag = self.aead()?.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
-            buffer.extend_from_slice(&tag);
             self.scratch.digests.push(self.backend.sha256(&[&buffer[sealed..]]));
+            let tag = self.key()?.aead.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
+            buffer.extend_from_slice(&tag);
         }
+        header.kind = Kind::Last;
+        header.index = last;
+        let fill = |buffer: &mut Vec<u8>| {
+            buffer.extend_from_slice(head);
+            buffer.extend_from_slice(rest);
+        };
+        self.prepare(header, head.len() + rest.len(), fill, (proof_len, max_payload), out);
         Ok(())
     }
 
-    fn reserve_proof(&mut self, header: SegmentHeader, depth: usize, max_payload: usize, out: &mut Segments) {
-        let len = wire::proof_len(depth);
-        let header =
-            SegmentHeader { kind: Kind::Proof, index: header.count, sealed_len: (len + TAG_LEN) as u16, ..header };
-        let at = out.begin(len + OVERHEAD, max_payload);
-        out.buffer().resize(at + len + OVERHEAD, 0);
-        self.scratch.pending.push(PendingProof { at, header });
+    /// Appends a segment that ends with a proof, except for the proof. `fill` appends its `len`
+    /// bytes of plaintext.
+    fn prepare(
+        &mut self,
+        header: SegmentHeader,
+        len: usize,
+        fill: impl FnOnce(&mut Vec<u8>),
+        (proof_len, max_payload): (usize, usize),
+        out: &mut Segments,
+    ) {
+        let header = SegmentHeader { sealed_len: (len + proof_len + TAG_LEN) as u16, ..header };
+        let at = out.begin(len + proof_len + OVERHEAD, max_payload);
+        let buffer = out.buffer();
+        buffer.extend_from_slice(&header.to_bytes());
+        fill(buffer);
+        self.scratch.digests.push(self.backend.sha256(&[&buffer[at + wire::HEADER_LEN..]]));
+        buffer.resize(at + len + proof_len + OVERHEAD, 0);
+        self.scratch.pending.push(Pending { at, header });
     }
 
-    fn seal_proofs(&mut self, out: &mut Segments) -> Result<(), SealError> {
+    /// Signs the tree of the leaves, and seals the prepared segments with their proofs.
+    fn seal_pending(&mut self, out: &mut Segments) -> Result<(), SealError> {
         let Scratch { leaves, pending, tree, path, .. } = &mut self.scratch;
         tree.build(self.backend, leaves);
         let signature = self.signer.sign(&wire::batch_statement(&tree.root()))?;
-        let aead = self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)?;
-        for (position, PendingProof { at, header }) in pending.iter().enumerate() {
+        let aead = self.epoch.as_ref().map(|epoch| &epoch.key.aead).ok_or(SealError::NoEpoch)?;
+        for (position, Pending { at, header }) in pending.iter().enumerate() {
             tree.path(position, path);
-            let clear = header.to_bytes();
             let segment = &mut out.buffer()[*at..][..wire::HEADER_LEN + usize::from(header.sealed_len)];
-            let (clear_place, sealed) = segment.split_at_mut(wire::HEADER_LEN);
-            let (plaintext, tag_place) = sealed.split_at_mut(wire::proof_len(path.len()));
-            clear_place.copy_from_slice(&clear);
-            Proof { position: position as u16, path, signature: &signature }.write(plaintext);
-            tag_place.copy_from_slice(&aead.seal(&header.nonce(), &clear, plaintext)?);
+            let (clear, sealed) = segment.split_at_mut(wire::HEADER_LEN);
+            let (plaintext, tag_place) = sealed.split_at_mut(usize::from(header.sealed_len) - TAG_LEN);
+            let proof_at = plaintext.len() - wire::proof_len(path.len());
+            Proof { position: position as u16, path, signature: &signature }.write(&mut plaintext[proof_at..]);
+            tag_place.copy_from_slice(&aead.seal(&header.nonce(), clear, plaintext)?);
         }
         Ok(())
     }
@@ -419,35 +448,6 @@ fn split_off_front<'a>(data: &mut &'a [u8], most: usize) -> &'a [u8] {
     let (front, rest) = data.split_at(most.min(data.len()));
     *data = rest;
     front
-}
-
-/// The division of a message into segments.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cut {
-    count: u32,
-    size: u32,
-}
-
-impl Cut {
-    fn new(message: &Draft<'_>, max_payload: usize, depth: usize) -> Result<Self, SealError> {
-        if message.origin.len() > MAX_ORIGIN {
-            return Err(SealError::OriginTooLong(message.origin.len()));
-        }
-        Self::of_len(message.body.len(), message.preamble_len(), max_payload, depth)
-    }
-
-    fn of_len(body_len: usize, preamble_len: usize, max_payload: usize, depth: usize) -> Result<Self, SealError> {
-        let need = OVERHEAD + wire::proof_len(depth);
-        if max_payload < need {
-            return Err(SealError::PayloadTooSmall { max_payload, need });
-        }
-        let capacity = (max_payload - OVERHEAD).min(wire::MAX_PLAINTEXT);
-        let too_large = SealError::MessageTooLarge { len: body_len, size: capacity };
-        let len = body_len.checked_add(preamble_len).ok_or(too_large)?;
-        let size = capacity.min(len);
-        let count = u32::try_from(len.div_ceil(size)).map_err(|_| too_large)?;
-        Ok(Self { count, size: size as u32 })
-    }
 }
 
 #[cfg(test)]

@@ -50,17 +50,23 @@ impl InboundOptions {
 pub struct Segment {
     pub position: Position,
     pub cut: u16,
-    /// Number of segments of the message, including its proof.
+    /// Number of segments of the message.
     pub total: u32,
     /// Bytes of the segment in the frame, including its header.
     pub bytes: usize,
 }
 
-impl From<&SegmentId> for Segment {
-    fn from(id: &SegmentId) -> Self {
-        let position = Position { sequence: id.sequence, index: id.index };
-        // No message has that many segments. If one claims to, its last segment is refused.
-        Self { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
+impl Segment {
+    /// Returns the parts of a sealed segment, one for each message. The first one has its bytes.
+    pub fn of(id: &SegmentId) -> impl Iterator<Item = Self> + use<> {
+        let SegmentId { cut, index, count: total, len, .. } = *id;
+        let positions = (id.sequence..).take(id.messages as usize).map(move |sequence| Position { sequence, index });
+        positions.zip(std::iter::once(len).chain(std::iter::repeat(0))).map(move |(position, bytes)| Self {
+            position,
+            cut,
+            total,
+            bytes,
+        })
     }
 }
 

@@ -96,7 +96,7 @@ impl<M> Inbound<M> {
     /// already received, or there is no room for it. The caller must then spend no memory on it.
     pub fn segment(&mut self, now: u64, segment: &Segment) -> bool {
         let Segment { position, cut, total, bytes } = *segment;
-        if position.sequence > MAX_SEQUENCE || total < 2 || position.index >= total {
+        if position.sequence > MAX_SEQUENCE || position.index >= total {
             return false;
         }
         if position.sequence < self.next {

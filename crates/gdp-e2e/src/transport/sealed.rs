@@ -2,8 +2,8 @@
 
 use crate::seal::Segments;
 
-/// The position of a segment in its session. A message's proof follows its last body segment, so
-/// the order of positions is the order of sending.
+/// The position of a segment in its session. The order of positions is the order of sending. A
+/// bundle is at the position of its first message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
     pub sequence: u64,
@@ -42,7 +42,7 @@ impl Sealed {
                 frames.push(Frame { first: Position { sequence: id.sequence, index: id.index }, end: start });
             }
             at += bytes.len();
-            (last, cut) = (id.sequence, id.cut);
+            (last, cut) = (id.last(), id.cut);
         }
         drop(ends);
         (at > 0).then(|| Self::from_frames(segments.into_bytes(), frames, last, cut))

@@ -24,7 +24,7 @@ pub struct Slot<M> {
     pub cut: u16,
     /// Time of the first sign of the message.
     pub known_at: u64,
-    /// Number of segments, including the proof; 0: none received.
+    /// Number of segments; 0: none received.
     total: u32,
     missing: u32,
     received: Bits,

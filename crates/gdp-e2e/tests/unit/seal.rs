@@ -1,6 +1,7 @@
 //! The cases that must work: any message, any order, both back ends, batches, new and old sessions.
 //! `hostile_tests` contains the cases that must fail.
 
+use super::wire::{OVERHEAD, proof_len};
 use super::*;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::{Identity, SigningKey};
@@ -39,12 +40,12 @@ fn a_small_message_is_one_frame_and_a_full_tail_shares_one_with_the_proof() {
     let mut segments = Segments::new();
     writer.seal(0, Encoding::Bytes, &[0; 64], 1400, &mut segments).unwrap();
     assert_eq!(segments.len(), 1);
-    assert_eq!(segments.total_bytes(), 44 + 16 + 64 + 16 + MIN_PAYLOAD);
+    assert_eq!(segments.total_bytes(), 12 + 64 + MIN_PAYLOAD);
     // One full segment, and a last segment that shares its payload with the proof.
-    writer.seal(0, Encoding::Bytes, &[0; 1340 - 16 + 100], 1400, &mut segments).unwrap();
-    assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 60 + 100 + MIN_PAYLOAD]);
+    writer.seal(0, Encoding::Bytes, &[0; 1340 - 12 + 100], 1400, &mut segments).unwrap();
+    assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 100 + MIN_PAYLOAD]);
     // A last segment that leaves no room for the proof.
-    writer.seal(0, Encoding::Bytes, &[0; 2 * 1340 - 16], 1400, &mut segments).unwrap();
+    writer.seal(0, Encoding::Bytes, &[0; 2 * 1340 - 12], 1400, &mut segments).unwrap();
     assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 1400, MIN_PAYLOAD]);
     // The buffer is replaced, not extended.
     writer.seal(0, Encoding::Bytes, b"", 1400, &mut segments).unwrap();
@@ -112,8 +113,23 @@ fn small_messages_of_a_batch_share_frames() {
     let f = Fixture::new();
     let mut segments = Segments::new();
     f.writer().seal_batch(0, &[Draft::new(Encoding::Bytes, &[1; 10]); 8], 1400, &mut segments).unwrap();
-    // (60 + 26) + (128 + 3 × 32) bytes each, four to a frame.
-    assert_eq!(segments.len(), 2);
+    // One segment for all: a timestamp, 6 + 10 bytes each, and a proof.
+    assert_eq!((segments.len(), segments.segments().count()), (1, 1));
+    assert_eq!(segments.total_bytes(), OVERHEAD + 8 + 8 * (6 + 10) + proof_len(0));
+    let f = Fixture::new();
+    // Sixteen are more than a bundle has room for. Two bundles are a tree of two leaves.
+    let bodies = [[7; 100]; 16];
+    let drafts = bodies.each_ref().map(|body| Draft::new(Encoding::Bytes, body));
+    f.writer().seal_batch(0, &drafts, 1400, &mut segments).unwrap();
+    let bundled = segments.segments().map(|(id, bytes)| (id.sequence, id.last(), bytes.len())).collect::<Vec<_>>();
+    let len = |messages: usize| OVERHEAD + 8 + messages * (6 + 100) + proof_len(1);
+    assert_eq!(bundled, [(1, 11, len(11)), (12, 16, len(5))]);
+    // Each stands alone.
+    let mut reader = f.reader();
+    let second = segments.iter().skip(1);
+    assert_eq!(push_all(&mut reader, f.writer_name(), second).len(), 5);
+    assert_eq!(push_all(&mut reader, f.writer_name(), segments.iter().take(1)).len(), 11);
+    assert_eq!(reader.memory(), 0);
 }
 
 #[test]

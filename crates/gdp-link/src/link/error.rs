@@ -1,9 +1,11 @@
 //! Errors of links: a link could not be made, or a request on it failed.
 
 use crate::link::timing::IDLE_TIMEOUT;
+use crate::link::version::Versions;
 
 use gdp_proto::control::CodecError;
 use gdp_wire::Name;
+use quinn::TransportErrorCode;
 use std::io;
 use std::time::Duration;
 
@@ -18,6 +20,11 @@ pub enum LinkError {
     Timeout { what: &'static str, after: Duration },
     #[error("the peer is {found:#}, not {expected:#}; check the address, or the name that is configured for it")]
     WrongPeer { expected: Name, found: Name },
+    #[error(
+        "the peer speaks no version above gdp/{theirs}, and this side speaks gdp/{oldest} to gdp/{newest} only; \
+         upgrade the peer"
+    )]
+    OldVersion { theirs: u8, oldest: u8, newest: u8 },
     #[error("all {} link ids are in use", gdp_wire::table::MAX_LINKS)]
     NoFreeId,
     #[error("the link is closed: {0}")]
@@ -37,8 +44,17 @@ impl From<quinn::ConnectionError> for LinkError {
 /// Maximum number of characters of a peer's close reason in messages.
 pub const MAX_REASON: usize = 600;
 
+/// TLS's alert (RFC 7301) if one side offers no version that the other one knows.
+const NO_APPLICATION_PROTOCOL: u8 = 120;
+
+fn no_common_version() -> String {
+    let Versions { oldest, newest } = Versions::SPOKEN;
+    format!("no version in common: this side speaks gdp/{oldest} to gdp/{newest}; upgrade the older of the two")
+}
+
 /// Describes why a connection closed, for a person. The peer's own text is bounded and escaped.
 pub fn close_reason(error: &quinn::ConnectionError) -> String {
+    let no_protocol = TransportErrorCode::crypto(NO_APPLICATION_PROTOCOL);
     match error {
         quinn::ConnectionError::ApplicationClosed(close) => {
             let words: String = String::from_utf8_lossy(&close.reason).chars().take(MAX_REASON).collect();
@@ -49,6 +65,8 @@ pub fn close_reason(error: &quinn::ConnectionError) -> String {
             }
         }
         quinn::ConnectionError::TimedOut => format!("nothing heard for {} s", IDLE_TIMEOUT.as_secs()),
+        quinn::ConnectionError::TransportError(error) if error.code == no_protocol => no_common_version(),
+        quinn::ConnectionError::ConnectionClosed(close) if close.error_code == no_protocol => no_common_version(),
         quinn::ConnectionError::LocallyClosed => "closed on this side".into(),
         other => other.to_string(),
     }

@@ -11,7 +11,8 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, RekeySchedule, streams, tls};
+use super::negotiation::negotiated;
+use super::{Link, RekeySchedule, Versions, streams, tls};
 use crate::link::error::LinkError;
 use crate::link::location::{LinkLocation, PairEnd};
 use crate::port::CurrentPair;
@@ -20,8 +21,6 @@ use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::peer::{MAX_LANES, Peer, Role};
 use gdp_proto::control;
-
-const VERSION: u8 = 5;
 
 /// Maximum length of an encoded hello, in bytes. A typical hello has about 100 bytes, or about 1000
 /// with a membership.
@@ -33,9 +32,10 @@ const MAX_MTU: u32 = Header::LEN as u32 + u16::MAX as u32;
 /// Smallest MTU of a usable link, in bytes.
 pub const MIN_MTU: u32 = 512;
 
+/// Fields that this version does not know are skipped. What a peer must not skip needs another
+/// version.
 #[derive(Debug, Serialize, Deserialize)]
 struct Hello {
-    version: u8,
     role: Role,
     /// The inner digest of the sender's name.
     #[serde(with = "gdp_core::cbor::array")]
@@ -77,6 +77,8 @@ pub struct HelloConfig {
     /// A switch's interface pair for endpoints on its host.
     pub pair: CurrentPair,
     pub credentials: CurrentCredentials,
+    /// The versions that this side speaks.
+    pub versions: Versions,
     /// The rekey schedule of the link. The hello does not carry it.
     pub rekey: RekeySchedule,
 }
@@ -105,6 +107,7 @@ async fn say_and_hear(
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
+    negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
     // Only a peer on this host receives the host id.
@@ -134,6 +137,7 @@ pub async fn greet_as_server(
     location: LinkLocation,
     config: &HelloConfig,
 ) -> Result<Link, LinkError> {
+    negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
@@ -162,7 +166,6 @@ async fn say(
     frames_at: Option<Ipv4Addr>,
 ) -> Result<(), LinkError> {
     let hello = Hello {
-        version: VERSION,
         role: config.role,
         digest: config.identity.proof().digest,
         link_id: id.get(),
@@ -180,9 +183,6 @@ async fn say(
 async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, PeerEnd), LinkError> {
     let bytes = streams::read_message(recv, MAX_HELLO).await?;
     let hello: Hello = control::decode(&bytes)?;
-    if hello.version != VERSION {
-        return Err(LinkError::Protocol(format!("it speaks version {}, this side {VERSION}", hello.version)));
-    }
     if hello.link_id == 0 {
         return Err(LinkError::Protocol("0 is no link id".into()));
     }

@@ -68,6 +68,11 @@ impl Unanswered {
         self.open.len()
     }
 
+    /// Returns the number of unanswered echoes.
+    pub fn count(&self) -> usize {
+        self.open.len()
+    }
+
     /// Records an echo that the caller sends. Forgets the oldest echo if `most` are already
     /// recorded.
     pub fn add(&mut self, cookie: u64, most: usize) {

@@ -24,11 +24,9 @@ use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, Error, 
 
 use crate::link::error::LinkError;
 use crate::link::timing::{IDLE_TIMEOUT, KEEP_ALIVE, MAX_STREAMS};
+use crate::link::version::Versions;
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_proto::control::MAX_MESSAGE;
-
-/// The ALPN protocol name of links, version 1.
-const ALPN: &[u8] = b"gdp/1";
 
 /// The server name that a client passes to rustls. It is not sent.
 pub const SERVER_NAME: &str = "gdp";
@@ -48,8 +46,9 @@ pub struct QuicMtu {
     pub discover_up_to: Option<u16>,
 }
 
-/// Returns the client and server configurations for an entity with this key.
-pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerConfig), LinkError> {
+/// Returns the client and server configurations for an entity with this key that speaks these
+/// versions.
+pub fn configs(key: &SigningKey, mtu: QuicMtu, versions: Versions) -> Result<(ClientConfig, ServerConfig), LinkError> {
     let provider = Arc::new(aws_lc_rs::default_provider());
     let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
     let certified = Arc::new(certified_key(key)?);
@@ -60,7 +59,7 @@ pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerCo
         .dangerous()
         .with_custom_certificate_verifier(verifier.clone())
         .with_client_cert_resolver(Arc::new(AlwaysResolvesClientRawPublicKeys::new(certified.clone())));
-    client.alpn_protocols = vec![ALPN.to_vec()];
+    client.alpn_protocols = versions.offered();
     client.resumption = Resumption::disabled();
     client.enable_sni = false;
 
@@ -69,7 +68,7 @@ pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerCo
         .map_err(tls_error)?
         .with_client_cert_verifier(verifier)
         .with_cert_resolver(Arc::new(AlwaysResolvesServerRawPublicKeys::new(certified)));
-    server.alpn_protocols = vec![ALPN.to_vec()];
+    server.alpn_protocols = versions.offered();
     server.session_storage = Arc::new(NoServerSessionStorage {});
     server.send_tls13_tickets = 0;
 

@@ -57,13 +57,17 @@ impl DataSocket {
             || self.has_misdelivered())
     }
 
-    /// Waits as [`Self::wait_readable`] does, for several sockets at once.
-    pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Self> + Clone, timeout: Duration) -> io::Result<()> {
+    /// Blocks until one of the sockets has frames, until `wake` is set, or until `timeout` expires.
+    /// At most [`sys::MOST_AT_ONCE`] sockets are waited for.
+    pub fn wait_any<'a>(
+        sockets: impl Iterator<Item = &'a Self> + Clone,
+        wake: &WakeFd,
+        timeout: Duration,
+    ) -> io::Result<()> {
         if sockets.clone().any(Self::has_misdelivered) {
             return Ok(());
         }
-        let all: Vec<_> = sockets.map(|socket| (socket.as_fd(), &*socket.wake)).collect();
-        sys::wait_any(&all, timeout)
+        sys::wait_any(sockets.map(|socket| (socket.as_fd(), &*socket.wake)), wake, timeout)
     }
 
     /// Ends the current or the next [`Self::wait_readable`], to let its thread do other work.

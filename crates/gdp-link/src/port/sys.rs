@@ -136,10 +136,7 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duratio
     let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
     let mut polls = [poll(fd, events), poll(wake.map_or(fd, WakeFd::fd), libc::POLLIN)];
     let count = if wake.is_some() { 2 } else { 1 };
-    let time = libc::timespec {
-        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
-        tv_nsec: timeout.subsec_nanos().into(),
-    };
+    let time = timespec(timeout);
     // SAFETY: the pointers refer to at least `count` pollfds and one timespec, which outlive the
     // call; no signal mask.
     match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
@@ -154,25 +151,47 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duratio
     }
 }
 
+/// Maximum number of sockets that [`wait_any`] waits for.
+pub const MOST_AT_ONCE: usize = 8;
+
 /// Waits until one of the descriptors is readable, one of the events is set, or the timeout
 /// expires. Clears the events.
-pub fn wait_any(all: &[(BorrowedFd, &WakeFd)], timeout: Duration) -> io::Result<()> {
-    let poll = |fd: BorrowedFd| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
-    let mut polls: Vec<_> = all.iter().flat_map(|(fd, wake)| [poll(*fd), poll(wake.fd())]).collect();
-    let time = libc::timespec {
-        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
-        tv_nsec: timeout.subsec_nanos().into(),
-    };
-    // SAFETY: the pointers refer to that many pollfds and one timespec, which outlive the call; no
-    // signal mask.
-    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), polls.len() as libc::nfds_t, &time, std::ptr::null()) }) {
+pub fn wait_any<'a>(
+    sockets: impl Iterator<Item = (BorrowedFd<'a>, &'a WakeFd)> + Clone,
+    wake: &WakeFd,
+    timeout: Duration,
+) -> io::Result<()> {
+    // The kernel ignores negative descriptors.
+    let mut polls = [libc::pollfd { fd: -1, events: libc::POLLIN, revents: 0 }; 2 * MOST_AT_ONCE + 1];
+    let sockets = sockets.take(MOST_AT_ONCE);
+    let all = sockets.clone().flat_map(|(fd, wake)| [fd, wake.fd()]).chain([wake.fd()]);
+    let mut count: libc::nfds_t = 0;
+    for (poll, fd) in polls.iter_mut().zip(all) {
+        poll.fd = fd.as_raw_fd();
+        count += 1;
+    }
+    let time = timespec(timeout);
+    // SAFETY: the pointers refer to at least `count` pollfds and one timespec, which outlive the
+    // call; no signal mask.
+    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
         Ok(_) => {
-            let woken = all.iter().zip(polls.chunks(2)).filter(|(_, polls)| polls[1].revents != 0);
-            woken.for_each(|((_, wake), _)| wake.clear());
+            let is_set = |poll: &libc::pollfd| poll.revents != 0;
+            sockets.zip(polls.chunks(2)).filter(|(_, polls)| is_set(&polls[1])).for_each(|((_, wake), _)| wake.clear());
+            if is_set(&polls[count as usize - 1]) {
+                wake.clear();
+            }
             Ok(())
         }
         Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(()),
         Err(error) => Err(error),
+    }
+}
+
+/// Returns a timeout in the kernel's format. Longer ones than the kernel's become its longest.
+fn timespec(timeout: Duration) -> libc::timespec {
+    libc::timespec {
+        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
+        tv_nsec: timeout.subsec_nanos().into(),
     }
 }
 

@@ -62,8 +62,8 @@ impl SharedUdp {
         let v6 = bound.is_ipv6();
         prepare_data(data.as_fd(), v6)?;
         let takes_all = interface.is_none() && bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
-        // Data frames need no UDP checksum: the hop tag covers the header, decryption the payload.
-        // QUIC verifies its packets.
+        // Data frames need no UDP checksum: the hop tag covers what switches forward by, decryption
+        // the rest. QUIC verifies its packets.
         let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,

@@ -81,7 +81,7 @@ async fn peers_without_a_p256_key_are_refused() {
         [("no key", None), ("Ed25519", Some(&rcgen::PKCS_ED25519)), ("P-384", Some(&rcgen::PKCS_ECDSA_P384_SHA384))]
     {
         let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
-        let config = foreign_client(key, what != "no key");
+        let config = foreign_client(key, what != "no key", Versions::SPOKEN.offered());
         let connecting = endpoint.connect_with(config, address, "gdp").unwrap();
         // The client may consider itself connected until the server has verified its key.
         if let Ok(connection) = connecting.await {
@@ -91,12 +91,26 @@ async fn peers_without_a_p256_key_are_refused() {
     }
     // An X.509 certificate with a valid key is not a raw public key.
     let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
-    let config = foreign_client(Some(&rcgen::PKCS_ECDSA_P256_SHA256), false);
+    let config = foreign_client(Some(&rcgen::PKCS_ECDSA_P256_SHA256), false, Versions::SPOKEN.offered());
     assert!(endpoint.connect_with(config, address, "gdp").unwrap().await.is_err());
     assert!(accept(&listener).await.is_err());
 
     let dialler = open(&identity("proxy"));
     link(&dialler, &listener).await;
+}
+
+/// A release far ahead may not even name the versions that it refuses.
+#[tokio::test]
+async fn peers_that_offer_no_known_version_are_told_what_is_spoken_here() {
+    let listener = listen(&identity("switch"));
+    let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
+    let config = foreign_client(Some(&rcgen::PKCS_ECDSA_P256_SHA256), true, vec![b"gdp/9".to_vec()]);
+    let connecting = endpoint.connect_with(config, listener.udp_addr().unwrap(), "gdp").unwrap();
+    let told = close_reason(&connecting.await.unwrap_err());
+    let refused = accept(&listener).await.unwrap_err().to_string();
+    for reason in [told, refused] {
+        assert!(reason.contains("no version in common") && reason.contains("gdp/2"), "{reason}");
+    }
 }
 
 #[tokio::test]
@@ -121,7 +135,7 @@ async fn garbage_neither_stops_a_port_nor_reaches_it_as_data() {
 async fn silent_peers_hold_up_nobody_else() {
     let listener = listen(&identity("switch"));
     let address = listener.udp_addr().unwrap();
-    let (client, _) = configs(identity("proxy").key(), QuicMtu { initial: 1200, discover_up_to: None }).unwrap();
+    let (client, _) = configs(identity("proxy").key(), MTU, Versions::SPOKEN).unwrap();
     let endpoint = quinn::Endpoint::client("127.0.0.2:0".parse().unwrap()).unwrap();
     let mut silent = Vec::new();
     for _ in 0..16 {
@@ -143,7 +157,7 @@ async fn silent_peers_hold_up_nobody_else() {
 #[tokio::test]
 async fn hellos_are_bounded_and_checked() {
     let listener = listen(&identity("switch"));
-    let (client, _) = configs(identity("proxy").key(), QuicMtu { initial: 1200, discover_up_to: None }).unwrap();
+    let (client, _) = configs(identity("proxy").key(), MTU, Versions::SPOKEN).unwrap();
     let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
     for hello in [&[0xff; 4][..], &[0, 0, 8, 0], &[0, 0, 0, 3, 1, 2, 3], &[0, 0, 0, 9, 1]] {
         let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();
@@ -251,7 +265,7 @@ async fn data_frames_pass_beside_quic() {
     assert_eq!(received.await.unwrap(), 200);
 
     let elsewhere = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
-    let lost = dialler.data().send_batch([OutFrame { to: elsewhere, head: &[0x10], body: &[] }]);
+    let lost = dialler.data().send_batch([OutFrame { to: elsewhere, head: &[0x20], body: &[] }]);
     assert_eq!((lost.sent, lost.lost, dialler.data().send_drops()), (0, 1, 1));
 }
 
@@ -357,6 +371,8 @@ fn open_by(rekey: RekeySchedule) -> Port {
     Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap()
 }
 
+const MTU: QuicMtu = QuicMtu { initial: 1200, discover_up_to: None };
+
 fn identity(kind: &str) -> Identity {
     Identity::generate(kind).unwrap()
 }
@@ -400,7 +416,11 @@ fn random(state: &mut u64) -> u8 {
 
 /// Returns the configuration of a foreign client: without a key, or with a raw key or certificate
 /// of the given kind.
-fn foreign_client(key: Option<&'static rcgen::SignatureAlgorithm>, raw: bool) -> quinn::ClientConfig {
+fn foreign_client(
+    key: Option<&'static rcgen::SignatureAlgorithm>,
+    raw: bool,
+    protocols: Vec<Vec<u8>>,
+) -> quinn::ClientConfig {
     use rustls::client::{AlwaysResolvesClientRawPublicKeys, danger::*};
     use rustls::pki_types::*;
 
@@ -464,7 +484,7 @@ fn foreign_client(key: Option<&'static rcgen::SignatureAlgorithm>, raw: bool) ->
             }
         }
     };
-    tls.alpn_protocols = vec![b"gdp/1".to_vec()];
+    tls.alpn_protocols = protocols;
     let crypto = quinn::crypto::rustls::QuicClientConfig::try_from(tls).unwrap();
     let mut config = quinn::ClientConfig::new(std::sync::Arc::new(crypto));
     let mut transport = quinn::TransportConfig::default();

@@ -1,7 +1,7 @@
 //! Unit tests of `control`.
 
 use super::*;
-use gdp_core::cert::{AdvertOp, Grantee, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdvertOp, Grantee, ReadGrant, issue};
 use gdp_core::identity::SigningKey;
 
 #[test]
@@ -53,7 +53,7 @@ fn a_record_is_believed_only_if_all_of_it_fits() {
     let (topic, robot_proof) = (card(&owner, 7), card(&robot, 8));
     let (name, entity, switch) = (topic.name().unwrap(), robot_proof.name().unwrap(), Name::from_bytes([9; 32]));
     let (not_before, not_after, box_key) = (100, 200, robot.public());
-    let ad = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 5, not_before, not_after };
+    let ad = AdCert { name, entity, scope: vec![], serial: 5, not_before, not_after };
     let grant = ReadGrant { name, to: Grantee::Entity(entity), serial: 5, not_before, not_after };
     let says = Advert { op: AdvertOp::Publish, name, entity, switch, serial: 1, lifetime: 60, box_key };
     let writer = Record {

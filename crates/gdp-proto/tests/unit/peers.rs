@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::control::Credential;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, MemberCert, Mode, ReadGrant, Reading, Revocation, issue};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, MemberCert, ReadGrant, Reading, Revocation, issue};
 use gdp_core::identity::{Identity, SigningKey};
 
 const NOW: u64 = 150;
@@ -203,8 +203,8 @@ impl World {
     }
 
     fn writer(&self, entity: &Identity) -> Record {
-        let (name, mode, scope, serial, not_before, not_after) = (self.name, Mode::Unicast, vec![], 1, 100, 200);
-        let cert = AdCert { name, entity: entity.name(), mode, scope, serial, not_before, not_after };
+        let (name, scope, serial, not_before, not_after) = (self.name, vec![], 1, 100, 200);
+        let cert = AdCert { name, entity: entity.name(), scope, serial, not_before, not_after };
         self.record(entity, AdvertOp::Publish, Credential::Writer(issue(&self.owner, &cert).unwrap().into()))
     }
 

@@ -100,8 +100,10 @@ pub fn limit_reached(what: String) -> Refusal {
 /// Converts a certificate error into a refusal for the requester.
 pub fn refusal(error: CertError) -> Refusal {
     let code = match &error {
-        CertError::BadSignature { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
-        CertError::NotYetValid { .. } => RefusalCode::NotYetValid,
+        CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => {
+            RefusalCode::BadSignature
+        }
+        CertError::NotYetValid { .. } | CertError::IssuedLater { .. } => RefusalCode::NotYetValid,
         CertError::Expired { .. } => RefusalCode::Expired,
         CertError::WrongName { .. } => RefusalCode::WrongName,
         CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
@@ -114,6 +116,7 @@ pub fn refusal(error: CertError) -> Refusal {
         | CertError::ByInvitation { .. }
         | CertError::WrongRole { .. }
         | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
+        CertError::OldVersion { .. } | CertError::UnknownField { .. } => RefusalCode::Unsupported,
         CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
     };
     Refusal::new(code, error.to_string())

@@ -71,8 +71,8 @@ impl TierRefusal {
             | Self::Box { source, .. }
             | Self::Revocation { source, .. }
             | Self::Locator { source, .. } => match **source {
-                CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
-                CertError::NotYetValid { .. } => "not_yet_valid",
+                CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => "signature",
+                CertError::NotYetValid { .. } | CertError::IssuedLater { .. } => "not_yet_valid",
                 CertError::Expired { .. } => "expired",
                 CertError::Revoked { .. } => "revoked",
                 CertError::WrongDomain { .. } => "wrong_domain",

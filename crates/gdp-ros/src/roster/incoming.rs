@@ -201,6 +201,20 @@ impl Incoming {
         changes_event(changes).into_iter().chain(unannounced_event(before - self.pending.len())).collect()
     }
 
+    /// Returns the session whose messages of this publisher are delivered, unless the publisher is
+    /// unknown or silent.
+    pub fn session(&self, writer: &Name, number: u32) -> Option<[u8; 16]> {
+        let peer = self.peers.get(writer)?;
+        peer.writers.get(&number).filter(|listed| !listed.is_silent).map(|_| peer.said.0)
+    }
+
+    /// Records that a message of the writer arrived at `at`, other than by [`Self::receive`].
+    pub fn refresh(&mut self, writer: &Name, at: Instant) {
+        if let Some(peer) = self.peers.get_mut(writer) {
+            peer.last_seen = peer.last_seen.max(at);
+        }
+    }
+
     /// Removes all publishers, and returns the changes.
     pub fn clear(&mut self) -> Vec<Change> {
         let numbers = |(writer, peer): (Name, RosterPeer)| {

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use gdp::Publisher;
 use gdp_core::cbor::CborError;
+use gdp_util::ticks::next_tick;
 
 use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer, node_name};
 
@@ -87,6 +88,11 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         self.numbers.get(key).copied()
     }
 
+    /// Returns all publishers with their numbers.
+    pub fn numbers(&self) -> impl Iterator<Item = (&K, u32)> {
+        self.numbers.iter().map(|(key, number)| (key, *number))
+    }
+
     /// Returns number and QoS of all publishers.
     pub fn offers(&self) -> impl Iterator<Item = (u32, Offer)> {
         self.writers.iter().map(|(number, writer)| (*number, writer.offers))
@@ -127,7 +133,8 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         // A best-effort reader may have lost the previous whole roster.
         let whole = std::mem::take(&mut self.changed) || self.briefs >= BRIEFS;
         self.briefs = if whole { 0 } else { self.briefs + 1 };
-        self.due = Some(now + self.refresh());
+        // All topics together, so that one frame acknowledges them.
+        self.due = Some(next_tick(self.refresh(), now));
         let writers = self.writers.values().cloned().collect();
         let definition = self.definition.clone().filter(|_| whole);
         let bytes = Roster { version: VERSION, kind: self.kind.clone(), definition, writers }.to_bytes()?;

@@ -89,7 +89,9 @@ fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Res
         tables.is_permitted(&Permit { name: header.source, link: ingress.id, part: Permit::SOURCE })
     };
     if !may_be_source {
-        return Err(Refusal::disclosed(Counter::Source, ErrorCode::NotAuthorised));
+        // No error, because the hop tag does not cover the source: an honest neighbour would be
+        // told what somebody else has done.
+        return Err(Counter::Source.into());
     }
     let entry = tables.route(&header.destination).ok_or(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute))?;
     let listed = entry.writer_link == ingress.id || entry.writer_link == ANY_WRITER;

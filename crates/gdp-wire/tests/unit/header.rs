@@ -11,7 +11,7 @@ fn fields_are_where_the_wire_format_says() {
     header.set_egress_bits(1 << 63 | 2);
     header.egress_set = 7;
     let bytes = header.as_bytes();
-    assert_eq!(bytes[..8], [0x10, 0, 64, 7, 1, 2, 12, 0]);
+    assert_eq!(bytes[..8], [0x20, 0, 64, 7, 1, 2, 12, 0]);
     assert_eq!(bytes[8..16], [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]);
     assert_eq!(bytes[16..24], [0x0a, 0x0b, 0x0c, 0x0d, 0x0e, 0x0f, 0x10, 0x11]);
     assert_eq!(bytes[24..32], [0x80, 0, 0, 0, 0, 0, 0, 2]);
@@ -46,4 +46,22 @@ fn a_control_frame_is_read_without_its_padding() {
     assert_eq!(ControlHeader::parse(&frame[..7]), None, "no header");
     frame[0] = FrameType::Data.first_byte();
     assert_eq!(ControlHeader::parse(&frame), None, "another type");
+}
+
+/// The tag covers all that switches act on: everything up to the source.
+#[test]
+fn the_tag_covers_each_bit_that_the_wire_format_says() {
+    const KEY: [u64; 2] = [0x0706_0504_0302_0100, 0x0f0e_0d0c_0b0a_0908];
+    const COUNT: u64 = 0x1122_3344_5566_7788;
+    let header = Header::data(Name::from_bytes([0xd0; 32]), Name::from_bytes([0x50; 32]), 7);
+    for bit in 0..Header::LEN * 8 {
+        let byte = bit / 8;
+        let mut altered = header;
+        altered.as_mut_bytes()[byte] ^= 1 << (bit % 8);
+        let is_covered = !Header::TAG.contains(&byte) && byte < offset_of!(Header, source);
+        assert_eq!(altered.tag_for(KEY, COUNT) == header.tag_for(KEY, COUNT), !is_covered, "bit {bit}");
+    }
+    for bit in 32..64 {
+        assert_ne!(header.tag_for(KEY, COUNT ^ 1 << bit), header.tag_for(KEY, COUNT), "bit {bit} of the count");
+    }
 }

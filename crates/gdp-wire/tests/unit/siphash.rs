@@ -14,8 +14,12 @@ fn agrees_with_the_reference_implementation() {
     for _ in 0..1000 {
         let key = [next(), next()];
         let words: [u64; 11] = core::array::from_fn(|_| next());
-        let mut reference = SipHasher24::new_with_keys(key[0], key[1]);
-        words.iter().for_each(|w| reference.write(&w.to_le_bytes()));
-        assert_eq!(siphash24(key, &words), reference.finish());
+        let reference = |words: &[u64]| {
+            let mut reference = SipHasher24::new_with_keys(key[0], key[1]);
+            words.iter().for_each(|w| reference.write(&w.to_le_bytes()));
+            reference.finish()
+        };
+        assert_eq!(siphash24(key, &words), reference(&words));
+        assert_eq!(siphash24(key, words.first_chunk::<7>().unwrap()), reference(&words[..7]));
     }
 }

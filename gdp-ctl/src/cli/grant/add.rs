@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{
-    AboutName, AdCert, Claims, Delegation, Grantee, Issued, Mode, ReadGrant, Revocation, Signed, Validity, issue,
+    AboutName, AdCert, Claims, Delegation, Grantee, Issued, ReadGrant, Revocation, Signed, Validity, issue,
 };
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
@@ -50,9 +50,6 @@ pub struct Options {
     /// Key that may issue such grants to others: 66 hex digits, as printed by `gdp-ctl key show`.
     #[arg(long, value_name = "KEY")]
     delegate: Option<VerifyKey>,
-    /// Delivery mode of the messages.
-    #[arg(long, value_enum, default_value = "unicast", requires = "publish", conflicts_with = "delegate")]
-    mode: DeliveryMode,
     /// Domain that may learn the name; repeat for several. Default: only the domain in which the
     /// name is advertised.
     #[arg(long, value_name = "NAME", requires = "publish", conflicts_with = "delegate")]
@@ -63,23 +60,6 @@ pub struct Options {
     /// Certificate: a new file, which the robot needs.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum DeliveryMode {
-    Multicast,
-    Anycast,
-    Unicast,
-}
-
-impl From<DeliveryMode> for Mode {
-    fn from(mode: DeliveryMode) -> Self {
-        match mode {
-            DeliveryMode::Multicast => Self::Multicast,
-            DeliveryMode::Anycast => Self::Anycast,
-            DeliveryMode::Unicast => Self::Unicast,
-        }
-    }
 }
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
@@ -98,8 +78,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         }
         (None, Some(_), ..) if publish && read => bail!("one certificate is for --publish or for --read; make two"),
         (None, Some(entity), ..) if publish => {
-            let (mode, scope) = (options.mode.into(), options.scope);
-            let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+            let claims = AdCert { name, entity, scope: options.scope, serial, not_before, not_after };
             (Holder::Entity(entity), issuer.issue(&claims, &options.output)?)
         }
         (None, entity, role, domain) => {

@@ -40,11 +40,29 @@ fn a_list_that_is_full_says_how_to_go_on() {
 #[test]
 fn serials_rise_also_if_the_clock_is_set_back() {
     assert!(next_serial::<Item>(&[], None).unwrap() > 1_700_000_000_000_000_000);
-    let later = u64::MAX - 9;
+    let later = serial_now() + 300_000_000_000;
     let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked };
     assert_eq!(next_serial::<Item>(&[], Some(&revocation(later, vec![]))).unwrap(), later);
     assert_eq!(next_serial::<Item>(&[], Some(&revocation(0, vec![later]))).unwrap(), later + 1);
-    assert!(next_serial::<Item>(&[], Some(&revocation(0, vec![u64::MAX]))).is_err());
+    assert_eq!(next_serial(&[Item { serial: later, ends: 0 }], None).unwrap(), later + 1);
+}
+
+/// No verifier accepts a serial of the far future, so the next one must not follow it.
+#[test]
+fn serials_of_the_far_future_are_passed_over_and_revoked_with_all_others() {
+    let far = serial_now() + 86_400_000_000_000;
+    for far in [far, u64::MAX] {
+        let revocation = Revocation { name: Name::default(), number: 1, floor: 0, revoked: vec![far] };
+        let next = next_serial(&[Item { serial: far, ends: NOW }], Some(&revocation)).unwrap();
+        assert!(next < far - 1, "{next}");
+    }
+    let floored = Revocation { name: Name::default(), number: 1, floor: far, revoked: vec![] };
+    let error = next_serial::<Item>(&[], Some(&floored)).unwrap_err().to_string();
+    assert!(error.contains("check the clock"), "{error}");
+
+    let issued = [Item { serial: 99, ends: NOW }, Item { serial: 500, ends: NOW }];
+    assert_eq!(revoke(None, &issued, &[], Some(100)).unwrap().revoked, [500]);
+    assert!(revoke(None, &issued, &[], None).unwrap().revoked.is_empty());
 }
 
 #[derive(Serialize, Deserialize)]

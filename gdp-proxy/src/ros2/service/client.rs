@@ -9,7 +9,8 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::mapping::{Id, Mapping, RequestId, asker, header, reply, with_header};
-use crate::ros2::raw::{RawReader, RawWriter, WriteError};
+use crate::ros2::raw::{RawWriter, WriteError};
+use crate::ros2::raw_reader::RawReader;
 use crate::ros2::sample::{RawSample, Representation};
 
 /// Bound on the concurrent calls of one client.

@@ -4,7 +4,7 @@ use bytes::{BufMut, Bytes, BytesMut};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{GUID, SequenceNumber};
 
-use super::super::raw::SampleChange;
+use super::super::raw_reader::SampleChange;
 use super::super::sample::{ENCAPSULATION, RawSample, Representation};
 
 /// The place of the request's identity in the messages of a service.

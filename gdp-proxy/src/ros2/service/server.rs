@@ -10,7 +10,8 @@ use tokio::time::timeout;
 
 use super::mapping::{Headless, Id, Mapping, RequestId, request, with_header};
 use crate::ros2::discovery::Writers;
-use crate::ros2::raw::{Participant, RawReader, RawWriter, Unreadable, WriteError, participant};
+use crate::ros2::raw::{Participant, RawWriter, WriteError, participant};
+use crate::ros2::raw_reader::{RawReader, Unreadable};
 use crate::ros2::sample::RawSample;
 
 /// Timeout for discovery to announce a client whose request has arrived.

@@ -20,7 +20,7 @@ use crate::node::{
     SubscribeOptions, Subscription, unix_seconds,
 };
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Advert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
+use gdp_core::cert::{AdCert, Advert, Grantee, Issued, ReadGrant, Reading, Revocation, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
@@ -328,7 +328,7 @@ impl Owner {
 
     pub fn ad_cert_until(&self, entity: Name, serial: u64, not_after: u64) -> Issued<AdCert> {
         let name = self.name();
-        let claims = AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial, not_before: 0, not_after };
+        let claims = AdCert { name, entity, scope: vec![], serial, not_before: 0, not_after };
         issue(&self.key, &claims).unwrap().into()
     }
 

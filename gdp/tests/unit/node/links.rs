@@ -11,8 +11,8 @@ use gdp_link::link::REQUEST_TIMEOUT;
 /// Interval between two messages in the tests.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// Number of segments of a small message: its body and its proof.
-const SEGMENTS: u64 = 2;
+/// Number of segments of a small message, which includes its proof.
+const SEGMENTS: u64 = 1;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {

@@ -620,7 +620,9 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     let tape = taped.lock().clone();
     for (name, writer, reader) in &mut readers {
         let mut received = gdp_e2e::seal::Received::default();
-        let frames = tape.iter().filter(|(to, source, payload)| to == name && source == writer && payload[0] == 2);
+        let frames = tape.iter().filter(|(to, source, payload)| {
+            to == name && source == writer && payload[0] == gdp_e2e::seal::SEGMENT_VERSION
+        });
         let mut seen = 0;
         for (_, source, payload) in frames {
             seen += 1;

@@ -111,7 +111,7 @@ fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
 }
 
 fn links() -> Ingresses {
-    Ingresses::new(Ingress::new(SharedEntry::new(keyed(0)), Weak::new()))
+    Ingresses::new(Ingress::new(SharedEntry::new(keyed(0)), Weak::new(), Arc::default()))
 }
 
 /// Returns the entry of a link with the same keys at both ends.
@@ -122,7 +122,7 @@ fn keyed(id: u32) -> LinkEntry {
 #[test]
 fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
     let entry = |id| SharedEntry::new(keyed(id));
-    let link = |id| Ingress::new(entry(id), Weak::new());
+    let link = |id| Ingress::new(entry(id), Weak::new(), Arc::default());
     let until = Instant::now() + Duration::from_secs(60);
     let first = Ingresses::new(link(1));
     assert!(replay::take(&*first.current.window, 7));

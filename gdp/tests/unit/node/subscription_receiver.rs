@@ -88,3 +88,45 @@ fn nothing_is_left_of_writers_that_came_and_went() {
     );
     assert_eq!(intake.next_wake(), None);
 }
+
+/// An attacker on the path of one writer gives its frames the name of another, whose frames take
+/// another path, and marks them. The other must not slow down.
+#[test]
+fn a_mark_counts_for_who_sealed_the_frame_only() {
+    let (queue, _messages) = mpsc::channel(4);
+    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
+    let (key, counters) = (SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Counters::default());
+    let now = Timestamps { steady_ns: 1_000_000, unix_ns: 1_000_000_000 };
+    let mut seals = [2, 3].map(|n| {
+        let (writer, secret) = (Name::from_bytes([n; 32]), EpochKey::from_bytes([n; 32]));
+        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::default()).unwrap();
+        seals.set_epoch(1, &secret).unwrap();
+        intake.change(now.steady_ns, Change::Authorise { writer, key: key.verify_key() });
+        intake.change(now.steady_ns, Change::Key { writer, opened: Opened { epoch: 1, key: secret, dropped: None } });
+        let mut asked = None;
+        intake.poll(now.steady_ns, &counters, |_, said| match said {
+            Feedback::Hello { challenge, .. } => asked = Some(challenge),
+            other => panic!("{other:?}"),
+        });
+        let (challenge, session) = (asked.unwrap(), seals.session());
+        let welcome = Feedback::Welcome { name: NAME, challenge, session, sequence: 1, history: 1024 };
+        assert!(intake.hear(now.steady_ns, &writer, &welcome));
+        (writer, seals)
+    });
+    let mut segments = Segments::new();
+    seals[0].1.seal(now.unix_ns, Encoding::Bytes, b"message", 1000, &mut segments).unwrap();
+    let frame = segments.iter().next().unwrap().to_vec();
+    let writers = [seals[0].0, seals[1].0];
+    intake.push(now, writers[1], &frame, true, &counters);
+    intake.push(now, writers[0], &frame, true, &counters);
+    let mut marks = HashMap::new();
+    for later in 1..100 {
+        intake.poll(now.steady_ns + later * 10_000_000, &counters, |writer, said| {
+            if let Feedback::Report { ce, .. } = said {
+                marks.insert(*writer, ce);
+            }
+        });
+    }
+    assert_eq!(marks.get(&writers[0]), Some(&1), "its own frame had a mark");
+    assert!(marks.get(&writers[1]).is_none_or(|ce| *ce == 0), "and the other's none: {marks:?}");
+}

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::Result;
 use gdp::{Node, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
+use gdp_core::cert::{AdCert, Grantee, Issued, ReadGrant, Reading, Revocation, Signed, issue};
 use gdp_core::identity::SigningKey;
 use gdp_wire::Name;
 
@@ -35,8 +35,8 @@ impl Owner {
 
     pub fn ad_cert(&self, entity: Name) -> Result<Issued<AdCert>> {
         let (name, (serial, not_after)) = (self.name(), now());
-        let (mode, scope, not_before) = (Mode::Multicast, vec![], 0);
-        Ok(issue(&self.key, &AdCert { name, entity, mode, scope, serial, not_before, not_after })?.into())
+        let (scope, not_before) = (vec![], 0);
+        Ok(issue(&self.key, &AdCert { name, entity, scope, serial, not_before, not_after })?.into())
     }
 
     pub fn grant(&self, entity: Name) -> Result<Reading> {

@@ -182,9 +182,8 @@ impl Rogue {
             let mut sequence = [0; 8];
             sequence[2..].copy_from_slice(&clear[8..14]);
             clear[8..14].copy_from_slice(&(u64::from_be_bytes(sequence) + ahead).to_be_bytes()[2..]);
-            if clear[1] == 0 {
-                plaintext[16..].fill(b'!');
-            }
+            let size = u32::from_be_bytes([clear[36], clear[37], clear[38], clear[39]]) as usize;
+            plaintext.get_mut(12..size).context("no message of one segment")?.fill(b'!');
             let tag = aead.seal(&nonce(&clear), &clear, &mut plaintext)?;
             [&clear[..], &plaintext, &tag].iter().for_each(|part| payload.extend_from_slice(part));
         }

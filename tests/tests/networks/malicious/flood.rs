@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use gdp_core::crypto;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
+use gdp_e2e::keys::PAIR_VERSION;
 use gdp_e2e::seal::Writer;
 use gdp_proto::control::{NameRole, Response};
 use gdp_wire::Name;
@@ -17,6 +18,9 @@ use crate::evil::{Frame, Recording, Rogue, Scene, dropped};
 
 /// Least number of flood frames that are dropped.
 const FRAMES: u64 = 3_000;
+
+/// Most messages of legitimate traffic beside a flood.
+const MESSAGES: u32 = 200_000;
 
 /// Limit of the process's growth in KiB. Segments that wait for a key or a writer take 2 MiB;
 /// sockets and recordings take little.
@@ -46,12 +50,14 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
     changed[last] ^= 1;
     let mut far = Writer::new(topic, robot, rogue.identity.key().clone(), Backend::default())?;
     far.set_epoch(7, &gdp_core::keys::EpochKey::generate()?)?;
+    // The version of feedback, so that only its tag is wrong.
+    let feedback = [&[PAIR_VERSION][..], &crypto::random::<100>()?].concat();
     let kinds = [
         ("seal_forged", vec![to_cloud(topic, robot, changed)]),
         ("seal_unknown_writer", vec![to_cloud(topic, Identity::generate("proxy")?.name(), honest.payload.clone())]),
         ("seal_no_key", rogue.sealed(&mut far, robot, &[1; 900], cloud)?),
         ("seal_duplicate", vec![honest.clone()]),
-        ("drop_feedback_forged", vec![to_cloud(cloud, robot, [&[1][..], &crypto::random::<100>()?].concat())]),
+        ("drop_feedback_forged", vec![to_cloud(cloud, robot, feedback)]),
     ];
     let before = resident()?;
     for (reason, mut frames) in kinds {
@@ -66,6 +72,7 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
             if passed >= 100 && dropped(&now, reason) >= FRAMES {
                 break now;
             }
+            assert!(passed < MESSAGES, "the flood is not counted as {reason}: {:?}", now.drops);
         };
         ends.store(true, Ordering::Relaxed);
         flood.join().ok().context("the flood failed")?;

@@ -45,7 +45,7 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     let mut heartbeat = Segments::new();
     writer.heartbeat(0, 1, 1, &mut heartbeat)?;
     scene.switch.inject(&frames(&heartbeat, name, robot, cloud));
-    scene.drops("seal_unvouched", 3)?;
+    scene.drops("seal_unvouched", 2)?;
     // Under the rogue's own name.
     let mut writer = Writer::new(name, rogue.name(), rogue.identity.key().clone(), Backend::default())?;
     writer.set_epoch(epoch, &key)?;

@@ -20,7 +20,7 @@ use crate::evil::{Frame, Owner, Rogue, Switch, drops, eventually, frames, node};
 use gdp_tests::wait::TIMEOUT;
 
 /// First byte of a sealed segment, and of nothing else that an entity receives under its own name.
-const SEGMENT: u8 = 2;
+const SEGMENT: u8 = gdp_e2e::seal::SEGMENT_VERSION;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {

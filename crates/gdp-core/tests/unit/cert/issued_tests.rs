@@ -250,6 +250,36 @@ fn a_chain_survives_its_file_and_its_message() {
     assert!(Issued::<ReadGrant>::from_pem(&text).is_err(), "a member's certificate is no part of an owner's");
 }
 
+/// A floor covers what was issued until it was signed. A serial of the far future would survive it,
+/// and every delegation that the owner takes back.
+#[test]
+fn a_serial_of_the_far_future_never_holds() {
+    let f = Fixture::new();
+    let all = Revocation { name: f.name, number: 1, floor: ISSUED + 1, revoked: vec![] };
+    let again = Delegation { serial: ISSUED + 1, ..f.delegation() };
+    for serial in [last_serial(NOW) + 1, u64::MAX] {
+        let later = |what| CertError::IssuedLater { what, serial, now: NOW };
+        let cert = AdCert { serial, ..f.ad_cert() };
+        let by_owner = Issued::from(issue(&f.owner, &cert).unwrap());
+        assert_eq!(by_owner.verify(&f.proof, None, NOW), Err(later("AdCert")));
+        assert_eq!(by_owner.verify(&f.proof, Some(&all), NOW), Err(later("AdCert")));
+        assert_eq!(f.by_delegate(&cert, &again).verify(&f.proof, Some(&all), NOW), Err(later("AdCert")));
+        let ahead = Delegation { serial, ..f.delegation() };
+        assert_eq!(f.by_delegate(&cert, &ahead).verify(&f.proof, None, NOW), Err(later("Delegation")));
+        let grant = issue(&f.owner, &ReadGrant { serial, ..f.grant() }).unwrap();
+        assert_eq!(grant.verify(&f.owner.verify_key(), NOW), Err(later("ReadGrant")));
+
+        let member = Membership::issue(&f.domain, &MemberCert { serial, ..f.member() }).unwrap();
+        assert_eq!(member.verify(f.domain.name(), None, NOW), Err(later("MemberCert")));
+        let (domain, peer, rights) = (f.domain.name(), f.robot(), PeerRights::default());
+        let peer = PeerCert { domain, peer, rights, serial, not_before: NOW, not_after: NOW };
+        let peer = issue(f.domain.key(), &peer).unwrap();
+        assert_eq!(peer.verify_peer(&f.domain.proof(), None, NOW), Err(later("PeerCert")));
+    }
+    let last = Issued::from(issue(&f.owner, &AdCert { serial: last_serial(NOW), ..f.ad_cert() }).unwrap());
+    last.verify(&f.proof, Some(&all), NOW).unwrap();
+}
+
 struct Fixture {
     owner: SigningKey,
     delegate: SigningKey,
@@ -281,7 +311,6 @@ impl Fixture {
         AdCert {
             name: self.name,
             entity: self.robot(),
-            mode: Mode::Unicast,
             scope: vec![],
             serial: ISSUED,
             not_before: NOW - 5,

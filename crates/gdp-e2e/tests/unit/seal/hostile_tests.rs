@@ -1,9 +1,9 @@
 //! The cases that must fail, and their drop reasons.
 
 use super::tests::{EPOCH, Fixture, at, only, push_all};
-use super::wire::{self, HEADER_LEN, OVERHEAD, Proof, SegmentHeader, VERSION};
+use super::wire::{HEADER_LEN, OVERHEAD, Proof, SegmentHeader, VERSION};
 use super::*;
-use gdp_core::crypto::{Backend, TAG_LEN};
+use gdp_core::crypto::{Aead, TAG_LEN};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::EpochKey;
 use gdp_core::name::Name;
@@ -13,8 +13,6 @@ use gdp_faults::Random;
 fn no_flipped_bit_is_delivered_or_costs_memory() {
     let f = Fixture::new();
     let frame = f.seal(&mut f.writer(), b"attack at dawn", 1400).remove(0);
-    let proof_at = split_ends(&frame)[0];
-    let in_header = |at: usize| at < HEADER_LEN || (proof_at..proof_at + HEADER_LEN).contains(&at);
     for bit in 0..frame.len() * 8 {
         let mut changed = frame.clone();
         changed[bit / 8] ^= 1 << (bit % 8);
@@ -23,9 +21,8 @@ fn no_flipped_bit_is_delivered_or_costs_memory() {
         let error = reader.push(at(0), f.writer_name(), &changed, &mut out).unwrap_err();
         assert!(out.messages.is_empty(), "bit {bit}");
         assert!(reader.drops()[error as usize] > 0);
-        // The unmodified segment may wait for the other one.
-        assert!(reader.memory() < 2000, "bit {bit}");
-        if !in_header(bit / 8) {
+        assert_eq!(reader.memory(), 0, "bit {bit}");
+        if bit / 8 >= HEADER_LEN {
             assert_eq!(error, DropReason::Forged, "bit {bit}");
         }
         // The original frame is still accepted afterwards.
@@ -225,7 +222,7 @@ fn impossible_sizes_are_refused_before_anything_else() {
     };
     for (what, frame, expected) in [
         ("most segments", with(u32::MAX, 1340, 0), DropReason::TooLarge),
-        ("one segment too many", with(151, 1340, 0), DropReason::TooLarge),
+        ("one segment too many", with(152, 1340, 0), DropReason::TooLarge),
         ("no segments", with(0, 1340, 0), DropReason::BadHeader),
         ("index past the end", with(4, 1340, 4), DropReason::BadHeader),
         ("size of 4 GB", with(1, u32::MAX, 0), DropReason::BadHeader),
@@ -252,13 +249,12 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
         }
     }
     assert!(reader.drops()[DropReason::Evicted as usize] > 700);
-    // Many small messages.
+    // Many small messages, each without its end.
     let mut writer = f.writer();
     reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
     for _ in 0..2000 {
-        let frame = f.seal(&mut writer, b"tiny", 1400).remove(0);
-        let body_only = &frame[..OVERHEAD + 20];
-        let _ = reader.push(at(50), f.writer_name(), body_only, &mut out);
+        let frames = f.seal(&mut writer, &[1; 100], OVERHEAD + 100);
+        let _ = reader.push(at(50), f.writer_name(), &frames[0], &mut out);
     }
     assert!(reader.memory() <= f.limits.max_memory_per_source);
     assert!(out.messages.is_empty());
@@ -285,43 +281,139 @@ fn segments_of_one_message_agree_on_its_shape() {
 #[test]
 fn proofs_cannot_be_exchanged_within_a_batch() {
     let f = Fixture::new();
-    let session = [5; 16];
-    let mut writer = f.writer_in(session, f.entity.key());
-    let mut segments = Segments::new();
-    writer
-        .seal_batch(0, &[Draft::new(Encoding::Bytes, b"one"), Draft::new(Encoding::Bytes, b"two")], 1400, &mut segments)
-        .unwrap();
-    let payload = segments.iter().next().unwrap().to_vec();
-    let ends = split_ends(&payload);
-    let (first_body, first_proof, second_proof) =
-        (&payload[..ends[0]], &payload[ends[0]..ends[1]], &payload[ends[2]..ends[3]]);
+    let (mut writer, mut segments) = (f.writer(), Segments::new());
+    let drafts = [[1; 1000], [2; 1000]];
+    let drafts = drafts.each_ref().map(|body| Draft::new(Encoding::Bytes, body));
+    writer.seal_batch(0, &drafts, 1400, &mut segments).unwrap();
+    let [first, second] = [0, 1].map(|at| segments.iter().nth(at).unwrap().to_vec());
 
-    // An insider opens the second proof and seals it again as that of the first message.
-    let aead = f.epoch_key.session_aead(Backend::default(), &f.name, &f.writer_name(), &session).unwrap();
-    let open = |segment: &[u8]| {
+    // An insider puts the second proof behind the first message.
+    let insider = Insider::new(&f, &writer);
+    let ((header, honest), (_, stolen)) = (insider.open(&first), insider.open(&second));
+    let (part, _) = Proof::split(&honest).unwrap();
+    let (_, proof) = Proof::split(&stolen).unwrap();
+    assert_eq!(proof.position, 1);
+    let forged = insider.seal(header, &[part, &stolen[part.len()..]].concat());
+
+    let mut reader = f.reader();
+    assert_eq!(refusal(&mut reader, &f, &forged), Some(DropReason::BadSignature));
+    assert_eq!(push_all(&mut reader, f.writer_name(), [&first, &second]).len(), 2);
+}
+
+/// The form of a signature that anybody can make of another one.
+#[test]
+fn a_high_s_is_refused_by_name() {
+    let f = Fixture::new();
+    let (mut writer, mut reader) = (f.writer(), f.reader());
+    let honest = f.seal(&mut writer, b"x", 1400).remove(0);
+    let mut beat = Segments::new();
+    writer.heartbeat(0, u64::MAX, 1, &mut beat).unwrap();
+    let beat = beat.iter().next().unwrap();
+    let insider = Insider::new(&f, &writer);
+    // The signature is before the last four bytes of a proof, and at the end of a heartbeat.
+    for (frame, end) in [(&honest[..], 4), (beat, 0)] {
+        let (header, mut plaintext) = insider.open(frame);
+        let end = plaintext.len() - end;
+        let signature = plaintext[..end].last_chunk_mut::<64>().unwrap();
+        let (r, s) = p256::ecdsa::Signature::from_slice(signature).unwrap().split_scalars();
+        let high = p256::ecdsa::Signature::from_scalars(r.to_bytes(), (-*s).to_bytes()).unwrap();
+        *signature = high.to_bytes().into();
+        assert_eq!(refusal(&mut reader, &f, &insider.seal(header, &plaintext)), Some(DropReason::HighS));
+        assert_eq!(refusal(&mut reader, &f, frame), None);
+    }
+}
+
+/// An epoch has one key. What was signed under it does not count under another key of its number.
+#[test]
+fn a_message_is_signed_for_one_key() {
+    let f = Fixture::new();
+    let mut writer = f.writer();
+    let honest = f.seal(&mut writer, b"x", 1400).remove(0);
+    let other = Fixture { epoch_key: EpochKey::from_bytes([9; 32]), ..Fixture::new() };
+    let (header, plaintext) = Insider::new(&f, &writer).open(&honest);
+    let moved = Insider::new(&other, &writer).seal(header, &plaintext);
+    assert_eq!(refusal(&mut other.reader(), &other, &moved), Some(DropReason::BadSignature));
+    assert_eq!(refusal(&mut f.reader(), &f, &honest), None);
+}
+
+/// An insider rewrites, adds or drops a message of a bundle.
+#[test]
+fn a_bundle_is_signed_as_a_whole() {
+    let f = Fixture::new();
+    let (mut writer, mut segments) = (f.writer(), Segments::new());
+    writer.seal_batch(0, &[Draft::new(Encoding::Bytes, b"go"); 3], 1400, &mut segments).unwrap();
+    let honest = segments.iter().next().unwrap();
+    let insider = Insider::new(&f, &writer);
+    let (header, plaintext) = insider.open(honest);
+    assert_eq!((header.count, header.size), (3, 8 + 3 * 8));
+    let mut rewritten = plaintext.clone();
+    rewritten[8 + 6..8 + 8].copy_from_slice(b"no");
+    let fewer = SegmentHeader { count: 2, size: header.size - 8, ..header };
+    let more = SegmentHeader { count: 4, ..header };
+    let mut reader = f.reader();
+    for forged in [
+        insider.seal(header, &rewritten),
+        insider.seal(
+            fewer,
+            &plaintext[..plaintext.len() - 76].iter().chain(&plaintext[32..]).copied().collect::<Vec<_>>(),
+        ),
+        insider.seal(more, &plaintext),
+        insider.seal(SegmentHeader { sequence: 2, ..header }, &plaintext),
+    ] {
+        let mut out = Received::default();
+        let refused = reader.push(at(0), f.writer_name(), &forged, &mut out);
+        assert_eq!(refused, Err(DropReason::BadSignature));
+        assert!(out.messages.is_empty());
+        // The reliable transport asks for all of its messages again.
+        let (_, lost) = (out.segments, out.lost.iter().map(|lost| lost.again).collect::<Vec<_>>());
+        assert!(lost.iter().all(|again| *again) && lost.len() >= 2, "{lost:?}");
+    }
+    assert_eq!(push_all(&mut reader, f.writer_name(), [honest]).len(), 3);
+}
+
+/// The end of a message comes behind a segment that is not full.
+#[test]
+fn segments_that_leave_a_gap_are_refused() {
+    let f = Fixture::new();
+    let mut writer = f.writer();
+    let insider = Insider::new(&f, &writer);
+    let frames = f.seal(&mut writer, &[1; 1500], 1400);
+    let (header, plaintext) = insider.open(&frames[0]);
+    let sealed_len = header.sealed_len - 1;
+    let short = insider.seal(SegmentHeader { sealed_len, ..header }, &plaintext[..plaintext.len() - 1]);
+    let mut reader = f.reader();
+    assert_eq!(refusal(&mut reader, &f, &short), None);
+    assert_eq!(refusal(&mut reader, &f, &frames[1]), Some(DropReason::BadMessage));
+    assert_eq!(reader.memory(), 0);
+}
+
+/// Another reader, which has the key of the epoch.
+struct Insider(Aead);
+
+impl Insider {
+    fn new(f: &Fixture, writer: &Writer) -> Self {
+        Self(f.epoch_key.session_key(f.writing, &f.name, &f.writer_name(), &writer.session()).unwrap().aead)
+    }
+
+    fn open(&self, segment: &[u8]) -> (SegmentHeader, Vec<u8>) {
         let (clear, sealed) = segment.split_first_chunk::<HEADER_LEN>().unwrap();
         let (ciphertext, tag) = sealed.split_last_chunk::<TAG_LEN>().unwrap();
         let header = SegmentHeader::parse(clear).unwrap();
         let mut plaintext = vec![0; ciphertext.len()];
-        aead.open(&header.nonce(), clear, ciphertext, tag, &mut plaintext).unwrap();
+        self.0.open(&header.nonce(), clear, ciphertext, tag, &mut plaintext).unwrap();
         (header, plaintext)
-    };
-    let ((first_header, _), (_, stolen)) = (open(first_proof), open(second_proof));
-    assert_eq!(Proof::parse(&stolen).unwrap().position, 1);
-    let clear = first_header.to_bytes();
-    let mut forged = clear.to_vec();
-    let mut sealed = stolen.clone();
-    let tag = aead.seal(&first_header.nonce(), &clear, &mut sealed).unwrap();
-    forged.extend(&sealed);
-    forged.extend(&tag);
+    }
 
-    let mut reader = f.reader();
-    let mut out = Received::default();
-    reader.push(at(0), f.writer_name(), first_body, &mut out).unwrap();
-    assert_eq!(reader.push(at(0), f.writer_name(), &forged, &mut out), Err(DropReason::BadSignature));
-    assert!(out.messages.is_empty());
-    assert_eq!(push_all(&mut reader, f.writer_name(), [&payload]).len(), 2);
-    assert_eq!(wire::proof_len(1), stolen.len());
+    fn seal(&self, header: SegmentHeader, plaintext: &[u8]) -> Vec<u8> {
+        let header = SegmentHeader { sealed_len: (plaintext.len() + TAG_LEN) as u16, ..header };
+        let (clear, mut sealed) = (header.to_bytes(), plaintext.to_vec());
+        let tag = self.0.seal(&header.nonce(), &clear, &mut sealed).unwrap();
+        [&clear[..], &sealed, &tag].concat()
+    }
+}
+
+fn refusal(reader: &mut Reader, f: &Fixture, payload: &[u8]) -> Option<DropReason> {
+    reader.push(at(0), f.writer_name(), payload, &mut Received::default()).err()
 }
 
 /// Returns the end offsets of a payload's segments.

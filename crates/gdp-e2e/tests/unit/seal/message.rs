@@ -23,16 +23,33 @@ fn what_is_in_front_of_the_body_round_trips() {
         assert_eq!((preamble.timestamp_ns, preamble.encoding), (3, Encoding::Cdr));
         assert_eq!((preamble.in_reply_to, &plaintext[preamble.origin]), (draft.in_reply_to, draft.origin));
         assert_eq!((preamble.latched, preamble.service), (draft.latched, draft.service));
-        assert_eq!(&plaintext[preamble.body_at..], b"body");
+        assert_eq!(&plaintext[preamble.body], b"body");
     }
     assert_eq!(full.preamble_len(), MAX_PREAMBLE);
+    // In a bundle they share the timestamp.
+    let drafts = [full, Draft { body: b"body", ..full }, plain, Draft { origin: b"x", body: &[9; 300], ..plain }];
+    let mut plaintext = 3u64.to_be_bytes().to_vec();
+    drafts.iter().for_each(|draft| draft.bundle_into(&mut plaintext));
+    assert_eq!(plaintext.len(), 8 + drafts.iter().map(|draft| draft.bundled_len().unwrap()).sum::<usize>());
+    let messages = Preamble::parse_bundle(&plaintext, 4).unwrap();
+    assert_eq!(messages.iter().map(|message| message.draft(&plaintext)).collect::<Vec<_>>(), drafts);
+    assert!(messages.iter().all(|message| message.timestamp_ns == 3));
+    for count in [0, 3, 5, 10_918] {
+        assert_eq!(Preamble::parse_bundle(&plaintext, count), Err(DropReason::BadMessage), "{count}");
+    }
+    assert!((0..plaintext.len()).all(|len| Preamble::parse_bundle(&plaintext[..len], 4).is_err()));
+    assert_eq!(Draft { body: &[0; 65536], ..plain }.bundled_len(), None);
 }
 
 #[test]
-fn extensions_of_later_versions_are_skipped() {
+fn extensions_of_later_releases_are_skipped_unless_they_are_critical() {
     let plaintext = with_extensions(&[&[0x7f, 0xff, 0, 3, 1, 2, 3], &[0, 2, 0, 1, 9], &[0, 0, 0, 0]]);
     let preamble = Preamble::parse(&plaintext).unwrap();
-    assert_eq!((&plaintext[preamble.origin], &plaintext[preamble.body_at..]), (&[9][..], &b"body"[..]));
+    assert_eq!((&plaintext[preamble.origin], &plaintext[preamble.body]), (&[9][..], &b"body"[..]));
+    for critical in [0x80, 0x81, 0xff] {
+        let plaintext = with_extensions(&[&[0, 2, 0, 1, 9], &[critical, 0xff, 0, 3, 1, 2, 3]]);
+        assert_eq!(Preamble::parse(&plaintext), Err(DropReason::Unsupported));
+    }
 }
 
 #[test]
@@ -58,13 +75,11 @@ fn extensions_that_make_no_sense_are_refused() {
         ("a long service", vec![&long_service]),
         ("two services", vec![&service, &service]),
     ] {
-        assert_eq!(Preamble::parse(&with_extensions(&extensions)), None, "{what}");
+        assert_eq!(Preamble::parse(&with_extensions(&extensions)), Err(DropReason::BadMessage), "{what}");
     }
-    let mut plaintext = with_extensions(&[&reply]);
-    assert!(Preamble::parse(&plaintext).is_some());
-    assert!((0..MESSAGE_HEADER_LEN + 28).all(|len| Preamble::parse(&plaintext[..len]).is_none()));
-    plaintext[15] = 1;
-    assert_eq!(Preamble::parse(&plaintext), None, "reserved bytes");
+    let plaintext = with_extensions(&[&reply]);
+    assert!(Preamble::parse(&plaintext).is_ok());
+    assert!((0..MESSAGE_HEADER_LEN + 28).all(|len| Preamble::parse(&plaintext[..len]).is_err()));
 }
 
 fn with_extensions(extensions: &[&[u8]]) -> Vec<u8> {

@@ -1,6 +1,7 @@
 //! The published test vectors of names and segments. Their signatures follow RFC 6979, so the
 //! vectors are the same in every run.
 
+use super::wire::{self, VERSION};
 use super::*;
 use crate::vectors::check;
 use gdp_core::crypto::Backend;
@@ -66,16 +67,22 @@ fn vectors_of_segments() {
     let (epoch, request) = (1_700_000_000, MessageId { session: [0x66; 16], sequence: 7 });
     let service = Name::from_bytes([0x77; 32]);
     let plain = |encoding, body| Draft::new(encoding, body);
-    let cases: [(&str, usize, &[Draft<'_>]); 6] = [
-        ("a message that shares one frame payload with its proof", 1400, &[plain(Encoding::Cdr, b"hello")]),
+    let cases: [(&str, usize, &[Draft<'_>]); 8] = [
+        ("a message of one segment, which ends with its proof", 1400, &[plain(Encoding::Cdr, b"hello")]),
         ("an empty message", 1400, &[plain(Encoding::Bytes, b"")]),
+        ("a message of three segments; the last one has the proof", 200, &[plain(Encoding::Json, &[0x5a; 290])]),
         (
-            "a message of three segments; the last shares a payload with the proof",
+            "a message whose end leaves no room for the proof: the last segment has nothing else",
             200,
-            &[plain(Encoding::Json, &[0x5a; 290])],
+            &[plain(Encoding::Json, &[0x5a; 228])],
         ),
         (
-            "a batch of three under one signature",
+            "two messages under one signature, each in a segment",
+            1400,
+            &[plain(Encoding::Cdr, &[0x5a; 1000]), plain(Encoding::Cdr, &[0xa5; 1000])],
+        ),
+        (
+            "a bundle of three messages",
             1400,
             &[plain(Encoding::Ros1, b"one"), plain(Encoding::Ros1, b"two"), plain(Encoding::Ros1, b"three")],
         ),
@@ -148,6 +155,25 @@ fn vectors_of_segments() {
         "timestamp_ns": timestamp.to_string(),
         "payloads": payloads(&segments),
     });
+    let later = later_releases().map(|(description, refused, payload)| {
+        for backend in Backend::ALL {
+            let mut reader = Reader::new(name, backend, ReaderLimits::default());
+            reader.authorise(writer_name, key.verify_key()).unwrap();
+            reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
+            reader.confirm_session(&writer_name, session, 1).unwrap();
+            let mut received = Received::default();
+            let result = reader.push(Timestamps::default(), writer_name, &payload, &mut received);
+            assert_eq!(result.err(), refused, "{description}");
+            let bodies: Vec<_> = received.messages.iter().map(|message| &message.body[..]).collect();
+            assert_eq!(bodies, refused.map_or(vec![&b"hello"[..]], |_| vec![]), "{description}");
+        }
+        json!({
+            "description": description,
+            "body": refused.map_or(Some(hex::encode(b"hello")), |_| None),
+            "refused": refused.map(DropReason::label),
+            "payload": hex::encode(payload),
+        })
+    });
     check(
         "segment.json",
         &json!({
@@ -163,12 +189,61 @@ fn vectors_of_segments() {
                 &epoch_key,
                 &[b"gdp/session/1", name.as_bytes(), writer_name.as_bytes()],
             ).unwrap()),
+            "commitment": hex::encode(*Backend::default().hkdf_sha256(
+                &session,
+                &epoch_key,
+                &[b"gdp/commit/1", name.as_bytes(), writer_name.as_bytes()],
+            ).unwrap()),
             "verify_key": key.verify_key(),
             "vectors": vectors,
             "cut_anew": cut_anew,
             "heartbeat": heartbeat,
+            "later_releases": later,
         }),
     );
+}
+
+/// Messages as later releases may send them, with the reason if this one refuses them.
+fn later_releases() -> [(&'static str, Option<DropReason>, Vec<u8>); 6] {
+    let skipped = [0x7f, 0xff, 0, 1, 9];
+    let critical = [0x80, 1, 0, 1, 9];
+    [
+        ("an unknown flag", None, compose(VERSION, 0x81, &[])),
+        ("an unknown extension that is not critical", None, compose(VERSION, 1, &skipped)),
+        ("an unknown extension that is critical", Some(DropReason::Unsupported), compose(VERSION, 1, &critical)),
+        ("an unknown kind of segments", Some(DropReason::Unsupported), compose(VERSION, 4, &[])),
+        ("the next version", Some(DropReason::OtherVersion), compose(VERSION + 1, 1, &[])),
+        ("the version before", Some(DropReason::OtherVersion), compose(VERSION - 1, 1, &[])),
+    ]
+}
+
+/// Composes the message "hello" of one segment as the document says, with these first two bytes.
+fn compose(version: u8, kind: u8, extensions: &[u8]) -> Vec<u8> {
+    let (name, writer) = (Name::from_bytes([0x11; 32]), Name::from_bytes([0x22; 32]));
+    let key = SigningKey::from_secret_bytes(&[1; 32]).unwrap();
+    let session = EpochKey::from_bytes([0x33; 32]).session_key(Backend::RustCrypto, &name, &writer, &[0x44; 16]);
+    let session = session.unwrap();
+    let length = (extensions.len() as u16).to_be_bytes();
+    let part = [&1_700_000_000_123_456_789u64.to_be_bytes()[..], &[0, 2], &length, extensions, b"hello"].concat();
+    let header = wire::SegmentHeader {
+        kind: wire::Kind::Last,
+        sealed_len: (part.len() + wire::proof_len(0) + 16) as u16,
+        index: 0,
+        sequence: 1,
+        cut: 0,
+        session: [0x44; 16],
+        count: 1,
+        size: part.len() as u32,
+        epoch: 1_700_000_000,
+    };
+    let digest = Backend::RustCrypto.sha256(&[&part]);
+    let root = wire::leaf(Backend::RustCrypto, &session.commitment, (&name, &writer), &header, &[digest]);
+    let signature = key.signer(Backend::RustCrypto).unwrap().sign(&wire::batch_statement(&root)).unwrap();
+    let mut sealed = [&part[..], &signature, &[0; 4]].concat();
+    let mut clear = header.to_bytes();
+    (clear[0], clear[1]) = (version, kind);
+    let tag = session.aead.seal(&header.nonce(), &clear, &mut sealed).unwrap();
+    [&clear[..], &sealed, &tag].concat()
 }
 
 fn map(entries: &[(&str, &str)]) -> Metadata {

@@ -3,33 +3,6 @@
 use super::*;
 
 #[test]
-fn messages_are_cut_into_the_fewest_segments() {
-    let cap = 1000 - OVERHEAD;
-    let cut = |len, max| Cut::of_len(len, 16, max, 0);
-    assert_eq!(cut(0, 1000), Ok(Cut { count: 1, size: 16 }));
-    assert_eq!(cut(cap - 16, 1000), Ok(Cut { count: 1, size: cap as u32 }));
-    assert_eq!(cut(cap - 15, 1000), Ok(Cut { count: 2, size: cap as u32 }));
-    assert_eq!(cut(10 * cap - 16, 1000), Ok(Cut { count: 10, size: cap as u32 }));
-    assert_eq!(cut(100, wire::MIN_PAYLOAD), Ok(Cut { count: 2, size: 68 }));
-    assert_eq!(cut(1 << 20, usize::MAX), Ok(Cut { count: 17, size: 65519 }));
-}
-
-#[test]
-fn what_cannot_be_cut_is_refused() {
-    let cut = |len, max, depth| Cut::of_len(len, 16, max, depth);
-    let small = |max_payload, need| Err(SealError::PayloadTooSmall { max_payload, need });
-    assert_eq!(cut(1, wire::MIN_PAYLOAD - 1, 0), small(127, 128));
-    assert_eq!(cut(1, 0, 0), small(0, 128));
-    assert_eq!(cut(1, 200, 16), small(200, 640));
-    assert!(matches!(cut(usize::MAX, 1000, 0), Err(SealError::MessageTooLarge { .. })));
-    let most = (u32::MAX as usize) * 68;
-    assert_eq!(cut(most - 16, wire::MIN_PAYLOAD, 0), Ok(Cut { count: u32::MAX, size: 68 }));
-    assert!(matches!(cut(most - 15, wire::MIN_PAYLOAD, 0), Err(SealError::MessageTooLarge { .. })));
-    let draft = Draft { origin: &[0; 65], ..Draft::new(Encoding::Bytes, b"") };
-    assert_eq!(Cut::new(&draft, 1000, 0), Err(SealError::OriginTooLong(65)));
-}
-
-#[test]
 fn a_session_ends_before_its_sequence_wraps() {
     let (mut writer, mut out) = (writer(), Segments::new());
     writer.next = wire::MAX_SEQUENCE - 1;
@@ -46,7 +19,7 @@ fn a_session_ends_before_its_sequence_wraps() {
 fn an_epoch_ends_before_its_key_has_sealed_too_much() {
     let (mut writer, mut out) = (writer(), Segments::new());
     writer.epoch.as_mut().unwrap().used = MAX_SEGMENTS - 4;
-    let batch = [Draft::new(Encoding::Bytes, b"x"); 3];
+    let batch = [Draft::new(Encoding::Bytes, &[1; 900]); 3];
     assert_eq!(writer.seal_batch(0, &batch, 1000, &mut out), Err(SealError::EpochExhausted(7)));
     // A refused batch uses no sequence numbers.
     assert_eq!(writer.next_sequence(), 1);
@@ -91,6 +64,7 @@ fn a_cut_is_used_once_and_only_for_what_was_sealed() {
 fn messages_are_cut_anew_from_what_was_sealed() {
     let (mut writer, mut out, mut again) = (writer(), Segments::new(), Segments::new());
     let key = SigningKey::from_secret_bytes(&[1; 32]).unwrap().verify_key();
+    // Three segments, and a bundle.
     let bodies = [vec![1; 3000], vec![2; 10], vec![]];
     let drafts = bodies.each_ref().map(|body| Draft { origin: b"here", ..Draft::new(Encoding::Cdr, body) });
     writer.seal_batch(77, &drafts, 1400, &mut out).unwrap();
@@ -115,6 +89,8 @@ fn messages_are_cut_anew_from_what_was_sealed() {
 
     assert!(matches!(writer.recut(&sealed, 1, 600, &mut again), Err(SealError::Cut { cut: 1, .. })));
     assert!(again.is_empty());
+    // None of the cuts was used twice: each of the bundle's messages has its own.
+    writer.reseal(3, 2, 77, drafts[2], 600, &mut again).unwrap();
     (9..24).for_each(|epoch| writer.set_epoch(epoch, &EpochKey::from_bytes([3; 32])).unwrap());
     assert!(matches!(writer.recut(&sealed, 2, 600, &mut again), Err(SealError::Cut { cut: 2, .. })));
 }

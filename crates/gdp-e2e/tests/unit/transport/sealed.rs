@@ -14,6 +14,7 @@ fn frames_are_those_that_were_sealed() {
     let mut writer =
         Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::default()).unwrap();
     writer.set_epoch(1, &EpochKey::from_bytes([1; 32])).unwrap();
+    // A message alone, one of several segments, and a bundle.
     let bodies = [vec![1; 10], vec![2; 5000], vec![], vec![3; 64]];
     let drafts: Vec<Draft<'_>> = bodies.iter().map(|body| Draft::new(Encoding::Bytes, body)).collect();
     let mut segments = Segments::new();
@@ -27,8 +28,10 @@ fn frames_are_those_that_were_sealed() {
         assert_eq!(sealed.len(frame), payload.len());
     }
     for (id, bytes) in segments.segments() {
-        let frame = sealed.frame_of(Position { sequence: id.sequence, index: id.index });
-        assert!(sealed.payload(frame).windows(bytes.len()).any(|window| window == bytes), "{id:?}");
+        for sequence in id.sequence..=id.last() {
+            let frame = sealed.frame_of(Position { sequence, index: id.index });
+            assert!(sealed.payload(frame).windows(bytes.len()).any(|window| window == bytes), "{id:?}");
+        }
     }
     assert!(Sealed::new(Segments::new()).is_none());
 }

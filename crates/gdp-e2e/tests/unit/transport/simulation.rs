@@ -602,8 +602,7 @@ impl Simulation {
 }
 
 impl TopicSim {
-    /// Seals a message of the publisher's size. Each frame carries one body segment; the last one
-    /// also carries the proof.
+    /// Seals a message of the publisher's size. Each frame carries one segment.
     fn seal(&mut self, sequence: u64, cut: u16, max_payload: usize) -> Sealed {
         let all = self.app.size + OVERHEAD;
         let count = all.div_ceil(max_payload).max(1);
@@ -614,13 +613,8 @@ impl TopicSim {
             let end = (index * max_payload) + bytes;
             let index = index as u32;
             frames.push(Frame { first: Position { sequence, index }, end });
-            let total = count as u32 + 1;
-            let segment = |index, bytes| Segment { position: Position { sequence, index }, cut, total, bytes };
-            described.push(if index + 1 == count as u32 {
-                Rc::new([segment(index, bytes - 1), segment(index + 1, 1)])
-            } else {
-                Rc::new([segment(index, bytes)])
-            });
+            let (position, total) = (Position { sequence, index }, count as u32);
+            described.push(Rc::new([Segment { position, cut, total, bytes }]));
         }
         self.frames.insert((sequence, cut), described);
         Sealed::without_bytes(frames, sequence, cut)

@@ -23,7 +23,7 @@ use super::{InFrame, LinkAddr};
 const SOON: Duration = Duration::from_secs(60);
 
 /// The first byte of a data frame.
-const DATA: u8 = 0x10;
+const DATA: u8 = 0x20;
 const QUIC: u8 = 0xc0;
 
 #[tokio::test]

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{
-    AdCert, Advert, AdvertOp, CertError, Grantee, LinkState, Mode, ReadGrant, Revocation, RtCert, Signed, issue,
+    AdCert, Advert, AdvertOp, CertError, Grantee, LinkState, ReadGrant, Revocation, RtCert, Signed, issue,
 };
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
@@ -636,7 +636,6 @@ impl Parts {
             cert: AdCert {
                 name,
                 entity: entity.name(),
-                mode: Mode::Unicast,
                 scope: w.scope.clone(),
                 serial: w.serial,
                 not_before: UNIX - 1,

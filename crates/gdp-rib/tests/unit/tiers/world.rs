@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{
-    AdCert, Advert, Grantee, Host, Locator, MemberCert, Membership, Mode, ReadGrant, Revocation, Signed,
-    SwitchStatement, issue,
+    AdCert, Advert, Grantee, Host, Locator, MemberCert, Membership, ReadGrant, Revocation, Signed, SwitchStatement,
+    issue,
 };
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
@@ -218,8 +218,8 @@ impl World {
         let (name, switch) = (proof.name().unwrap(), self.domains[at].switch.name());
         let (serial, not_before, not_after) = (self.number, UNIX - DAY, UNIX + DAY);
         let credential = if role.is_writer() {
-            let (entity, mode, scope) = (entity.name(), Mode::Multicast, scope.to_vec());
-            let cert = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+            let (entity, scope) = (entity.name(), scope.to_vec());
+            let cert = AdCert { name, entity, scope, serial, not_before, not_after };
             Credential::Writer(issue(&owner, &cert).unwrap().into())
         } else {
             let to = Grantee::Entity(entity.name());
