@@ -73,8 +73,9 @@ impl Scene {
     /// each changed by `alter`.
     fn hand_on(&self, count: usize, mut alter: impl FnMut(usize, &mut Vec<u8>)) -> Result<()> {
         const TURN: Duration = Duration::from_millis(2);
-        let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
+        // Captures nothing that the cable has carried, which would be a replay.
         self.fabric.chain.cut_wire(true)?;
+        let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
         let (mut altered, deadline) = (0, Instant::now() + TIMEOUT);
         while altered < count {
             ensure!(Instant::now() < deadline, "only {altered} data frames came");

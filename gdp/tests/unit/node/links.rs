@@ -81,9 +81,9 @@ async fn copies_are_dropped_at_the_reader_and_counted() {
         true
     })));
     for i in 1..=100 {
-        once.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+        once.send(Encoding::Bytes, &[0; 100]).await.unwrap();
         assert_eq!(recv(&mut one_way).await.sequence, i);
-        publisher.send(Encoding::Bytes, &[0; 1000]).await.unwrap();
+        publisher.send(Encoding::Bytes, &[0; 100]).await.unwrap();
         assert_eq!(recv(&mut subscription).await.sequence, i);
     }
     let (sent, frames) = (publisher.counters(), publisher.counters().topic.frames);
