@@ -81,9 +81,11 @@ async fn the_proxy_has_as_many_nodes_as_a_topic_has_latching_publishers() {
         let mut listener = there.begin(&format!("late{}", &topic[1..]), &["listen", topic]);
         assert_eq!(texts(&mut listener, 3).await, ["one", "three", "two"]);
     }
-    // For both topics together. A node that was needed for a moment leaves again.
+    // For both topics together: three, and not five. A node that was needed for a moment leaves
+    // again. A publisher is known to latch only once it is connected, so its writer may be made
+    // twice. Then the topics may be at different nodes, which are four.
     let mut shown = Vec::new();
-    while shown.last() != Some(&3) {
+    while shown.last().is_none_or(|nodes| *nodes > 4) {
         assert!(shown.len() < 20, "{shown:?}");
         shown.push(of_proxies(&format!("after{}", shown.len())).await);
     }
