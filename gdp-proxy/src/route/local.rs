@@ -263,7 +263,7 @@ impl Made {
 
     /// Drops the writer and returns the number of messages that waited.
     pub fn abandon(self) -> u64 {
-        self.pending_match.map_or(0, |pending_match| pending_match.into_waiting().count() as u64)
+        self.pending_match.map_or(0, |pending_match| pending_match.waiting() as u64)
     }
 
     /// Drops the oldest waiting message and returns its size in bytes.
@@ -274,13 +274,14 @@ impl Made {
     /// Writes the waiting messages once they need not wait any longer. Returns the errors.
     pub async fn look(&mut self, types: &Types, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
         let Self { writer, pending_match, .. } = self;
+        let Some(pending_match) = pending_match else { return Vec::new() };
+        let due = pending_match.take(now, || writer.is_matched());
+        if pending_match.is_done() {
+            self.pending_match = None;
+        }
         let mut refused = Vec::new();
-        if pending_match.as_mut().is_some_and(|pending_match| pending_match.is_over(now, || writer.is_matched()))
-            && let Some(pending_match) = self.pending_match.take()
-        {
-            for message in pending_match.into_waiting() {
-                refused.extend(self.write(types, counters, message).await.err());
-            }
+        for message in due {
+            refused.extend(self.write(types, counters, message).await.err());
         }
         refused
     }

@@ -1,5 +1,8 @@
 //! Queues the first messages of a new writer until subscribers have matched it. Matching takes
 //! milliseconds, or seconds on a busy machine. The publisher of a single message has left by then.
+//!
+//! The queue is then released in portions. All at once would be more than a subscriber's history
+//! holds, which keeps the newest messages only.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -14,6 +17,10 @@ const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 /// the writer.
 const SETTLE: Duration = Duration::from_millis(150);
 
+/// Number of portions in which the waiting messages are released, with as many calls of
+/// [`PendingMatch::take`].
+const PORTIONS: usize = 5;
+
 /// Bound on the waiting messages of one writer.
 const MAX_WAITING: usize = 256;
 /// Bound on their bytes.
@@ -27,12 +34,13 @@ pub struct PendingMatch<T> {
     waiting: VecDeque<(T, usize)>,
     /// Bytes of all waiting messages.
     bytes: usize,
+    portions: usize,
 }
 
 impl<T> PendingMatch<T> {
     pub fn new(now: Instant, is_reliable: bool) -> Self {
         let patience = if is_reliable { RELIABLE_PATIENCE } else { TIMEOUT };
-        Self { until: now + patience, has_matched: false, waiting: VecDeque::new(), bytes: 0 }
+        Self { until: now + patience, has_matched: false, waiting: VecDeque::new(), bytes: 0, portions: PORTIONS }
     }
 
     pub fn push(&mut self, message: T, bytes: usize) {
@@ -52,9 +60,25 @@ impl<T> PendingMatch<T> {
         bytes
     }
 
-    /// Whether the messages need not wait any longer. `is_matched` returns whether the writer has a
-    /// subscriber.
-    pub fn is_over(&mut self, now: Instant, is_matched: impl FnOnce() -> bool) -> bool {
+    /// Removes the messages that are to be written now. `is_matched` returns whether the writer has
+    /// a subscriber.
+    pub fn take(&mut self, now: Instant, is_matched: impl FnOnce() -> bool) -> Vec<T> {
+        if self.portions == PORTIONS && !self.is_over(now, is_matched) {
+            return Vec::new();
+        }
+        let count = self.waiting.len().div_ceil(self.portions.max(1));
+        self.portions = self.portions.saturating_sub(1);
+        let taken: Vec<_> = self.waiting.drain(..count).collect();
+        self.bytes -= taken.iter().map(|(_, bytes)| bytes).sum::<usize>();
+        taken.into_iter().map(|(message, _)| message).collect()
+    }
+
+    /// Whether later messages need not wait.
+    pub fn is_done(&self) -> bool {
+        self.portions < PORTIONS && self.waiting.is_empty()
+    }
+
+    fn is_over(&mut self, now: Instant, is_matched: impl FnOnce() -> bool) -> bool {
         if !self.has_matched && is_matched() {
             self.has_matched = true;
             self.until = self.until.min(now + SETTLE);
@@ -62,8 +86,8 @@ impl<T> PendingMatch<T> {
         now >= self.until || self.waiting.len() > MAX_WAITING || self.bytes > MAX_WAITING_BYTES
     }
 
-    pub fn into_waiting(self) -> impl Iterator<Item = T> {
-        self.waiting.into_iter().map(|(message, _)| message)
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
     }
 }
 
