@@ -69,6 +69,8 @@ struct KnownReader {
     from: u64,
     /// The last challenge that was answered.
     greeted: Option<[u8; 16]>,
+    /// Whether the reader was detached and may have restarted meanwhile.
+    has_returned: bool,
     /// The time since when the reader is detached.
     absent: Option<u64>,
     wants: Wants,
@@ -181,9 +183,11 @@ impl Publication {
         if entry.greeted != Some(challenge) {
             readers.lacks_latched = true;
             // A reader that asks again has lost its state or doubts it. It starts with the next
-            // message.
+            // message, or with the first one after its return.
             if entry.greeted.replace(challenge).is_some() {
                 entry.from = self.admit(*reader)?;
+            } else if std::mem::take(&mut entry.has_returned) {
+                self.scheduler.uplink().join_from(self.scheduler.clock.now(), self.topic(), *reader, entry.from);
             }
         }
         let (name, session, sequence) = (self.name, self.sealer.session, entry.from);
@@ -195,8 +199,8 @@ impl Publication {
     pub fn returned(&self, reader: &Name) {
         let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
-        if let Some(from) = self.admit(*reader) {
-            (entry.from, entry.greeted) = (from, None);
+        if let Some(from) = self.scheduler.uplink().next_sequence(self.topic()) {
+            (entry.from, entry.greeted, entry.has_returned) = (from, None, true);
         }
     }
 
@@ -243,7 +247,10 @@ impl Publication {
         self.pairs.introduce(entity, box_key);
         // Readers beyond the transport's capacity share the transmissions to the other readers.
         let from = self.admit(entity).unwrap_or(1);
-        readers.known.insert(entity, KnownReader { right, from, greeted: None, absent: None, wants: Wants::Newest });
+        readers.known.insert(
+            entity,
+            KnownReader { right, from, greeted: None, has_returned: false, absent: None, wants: Wants::Newest },
+        );
     }
 
     /// Returns the sequence number that the reader starts with, if the transport tracks the reader.

@@ -272,9 +272,15 @@ impl Outbox {
 
     /// Marks all waiting messages as sent, because there are no readers.
     pub fn skip_all(&mut self) {
-        self.entries.iter_mut().for_each(|entry| entry.sent = entry.message.frames());
-        self.repairs.clear();
-        self.cursor = self.entries.len();
+        self.skip_before(u64::MAX);
+    }
+
+    /// Marks waiting messages before this sequence as sent, because no reader wants them.
+    pub fn skip_before(&mut self, sequence: u64) {
+        let unwanted = self.entries.partition_point(|entry| entry.message.last() < sequence);
+        self.entries.iter_mut().take(unwanted).for_each(|entry| entry.sent = entry.message.frames());
+        self.repairs.retain(|(first, _)| *first >= sequence);
+        self.cursor = self.cursor.max(unwanted);
     }
 
     /// Returns the next frame payload, in frames of at most `max_payload` bytes.

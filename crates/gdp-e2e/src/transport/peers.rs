@@ -223,12 +223,17 @@ impl Peers {
         self.0.get_mut(reader)
     }
 
-    /// Adds a reader. Returns false if there are too many.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Adds a reader, or replaces the state of one that has restarted. Returns false if there are
+    /// too many.
     pub fn join(&mut self, reader: Name, peer: ReaderState) -> bool {
         if self.0.len() >= MOST_PEERS && !self.0.contains_key(&reader) {
             return false;
         }
-        self.0.entry(reader).or_insert(peer);
+        self.0.insert(reader, peer);
         true
     }
 

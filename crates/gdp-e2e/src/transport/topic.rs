@@ -171,9 +171,16 @@ impl TopicState {
         (self.outbox.unsent(), self.peers.lacking(self.outbox.last()).collect())
     }
 
-    pub fn join(&mut self, now: u64, reader: Name) -> bool {
-        let known = self.outbox.last();
-        self.peers.join(reader, ReaderState::new(now, known, self.sent))
+    /// Adds a reader that gets the messages from sequence `from` on. It replaces a reader of this
+    /// name, which has restarted.
+    pub fn join(&mut self, now: u64, reader: Name, from: u64) -> bool {
+        let joined = self.peers.join(reader, ReaderState::new(now, from - 1, self.sent));
+        self.leader = None;
+        if joined && self.peers.len() == 1 {
+            // Nobody else wants what waited for the reader of before.
+            self.outbox.skip_before(from);
+        }
+        joined
     }
 
     /// Removes a reader. Returns true if this makes room for a waiting publisher.

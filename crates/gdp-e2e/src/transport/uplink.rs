@@ -202,15 +202,25 @@ impl Uplink {
         self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
+    /// Returns the sequence of the topic's next message, or `None` if the topic is closed.
+    pub fn next_sequence(&mut self, topic: TopicId) -> Option<u64> {
+        Some(self.topic(topic)?.outbox.last() + 1)
+    }
+
     /// Adds an authorised reader, which gets all messages pushed from now on. Returns the first
     /// sequence for this reader. Returns `None` if the topic is closed, or has too many readers to
     /// track this one.
     pub fn join(&mut self, now: u64, topic: TopicId, reader: Name) -> Option<u64> {
-        let state = self.topic(topic)?;
-        let next = state.outbox.last() + 1;
-        let joined = state.join(now, reader);
+        let next = self.next_sequence(topic)?;
+        self.join_from(now, topic, reader, next).then_some(next)
+    }
+
+    /// Adds an authorised reader as [`Self::join`] does, from a sequence of before on. A reader of
+    /// this name has restarted, and its state begins anew.
+    pub fn join_from(&mut self, now: u64, topic: TopicId, reader: Name, from: u64) -> bool {
+        let joined = self.topic(topic).is_some_and(|state| state.join(now, reader, from));
         self.settle(now, topic);
-        joined.then_some(next)
+        joined
     }
 
     /// Removes a reader that has left or is no longer authorised.

@@ -446,6 +446,22 @@ fn a_reader_that_dies_slows_nobody_for_long() {
 }
 
 #[test]
+fn a_reader_that_has_restarted_gets_the_next_large_message_at_once() {
+    let (mut sim, writer, readers) = Simulation::star(21, Faults::delay(5 * MS), 1);
+    let options = TopicOptions { history: History { messages: 10, bytes: 64 << 20 }, ..TopicOptions::reliable() };
+    let topic = sim.publish(writer, options, App::new(900_000, 15, 60 * SECOND));
+    sim.subscribe(readers[0], topic, 10 * MS, InboundOptions::every());
+    sim.run(5 * SECOND);
+    // It ends without a word, and is silent meanwhile.
+    sim.topics[topic].readers.remove(&readers[0]);
+    sim.run(15 * SECOND);
+    sim.subscribe(readers[0], topic, 10 * MS, InboundOptions::every());
+    sim.run(16 * SECOND);
+    let (_, first) = *sim.topics[topic].readers[&readers[0]].delivered.first().expect("an image within a second");
+    assert!(first < 15 * SECOND + 300 * MS, "{} ms", (first - 15 * SECOND) / MS);
+}
+
+#[test]
 fn churn_of_readers_and_topics_leaves_memory_flat() {
     let faults = Faults::delay(MS);
     let (mut sim, writer, readers) = Simulation::star(8, faults, 4);
