@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use gdp_core::crypto::{Aead, Backend, TAG_LEN};
+use gdp_core::crypto::{self, Aead, Backend, TAG_LEN};
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
 use gdp_e2e::seal::{
@@ -82,7 +82,7 @@ impl Scene {
     fn new() -> Self {
         let entity = Identity::generate("proxy").expect("an identity");
         let (name, key) = (entity.name(), entity.key().clone());
-        let mut writer = Writer::new(NAME, name, key, Backend::default()).expect("a writer");
+        let mut writer = Writer::new(NAME, name, key, Backend::selected()).expect("a writer");
         writer.set_epoch(EPOCH, &EpochKey::from_bytes(KEY)).expect("the first epoch");
         let limits = ReaderLimits {
             max_message: 4000,
@@ -92,7 +92,7 @@ impl Scene {
             max_sessions: 3,
             ..ReaderLimits::default()
         };
-        let mut reader = Reader::new(NAME, Backend::default(), limits);
+        let mut reader = Reader::new(NAME, Backend::selected(), limits);
         reader.authorise(name, entity.key().verify_key()).expect("a key");
         reader.set_key(&name, EPOCH, EpochKey::from_bytes(KEY)).expect("an authorised writer");
         reader.confirm_session(&name, writer.session(), 1).expect("an authorised writer");
@@ -150,8 +150,8 @@ impl Scene {
     fn aead(&self, session: &[u8; 16]) -> Aead {
         let writer = self.entity.name();
         let info: [&[u8]; 3] = [b"gdp/session/1", NAME.as_bytes(), writer.as_bytes()];
-        let key = Backend::default().hkdf_sha256(session, &KEY, &info).expect("a key");
-        Backend::default().aead(&key).expect("a cipher")
+        let key = crypto::hkdf_sha256(session, &KEY, &info).expect("a key");
+        Backend::selected().aead(&key).expect("a cipher")
     }
 
     /// The writer seals something; all of it is on its way then. The bytes: what, how large

@@ -9,6 +9,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use gdp_core::crypto::Backend;
 use gdp_util::backoff::Backoff;
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -64,6 +65,9 @@ impl LoadError {
 impl Loaded {
     pub fn load(path: &Path, watcher: &FileWatcher) -> Result<Self, LoadError> {
         let mut config = Config::load(path)?;
+        // Before the first key is parsed.
+        let selected = config.crypto.map_or(Ok(()), Backend::select);
+        selected.map_err(|_| LoadError::Fixed { path: path.into(), key: "crypto".into() })?;
         match Material::load(&config, watcher) {
             Ok(material) => Ok(Self { config, material }),
             Err(error) => {

@@ -48,9 +48,9 @@ fn main() -> Result<()> {
 /// payload per message.
 fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     let (entity, name, key) = (Identity::generate("proxy")?, Name::from_bytes([1; 32]), EpochKey::generate()?);
-    let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::selected())?;
     writer.set_epoch(1, &key)?;
-    let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
+    let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
     reader.authorise(entity.name(), entity.key().verify_key())?;
     reader.set_key(&entity.name(), 1, key)?;
     reader.confirm_session(&entity.name(), writer.session(), 1)?;

@@ -44,9 +44,9 @@ static ALLOCATOR: Counting = Counting;
 fn frames_cost_no_allocation() {
     let entity = Identity::generate("proxy").unwrap();
     let (name, epoch_key) = (Name::from_bytes([1; 32]), EpochKey::generate().unwrap());
-    let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::AwsLc).unwrap();
+    let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::selected()).unwrap();
     writer.set_epoch(1, &epoch_key).unwrap();
-    let mut reader = Reader::new(name, Backend::AwsLc, ReaderLimits::default());
+    let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
     reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
     reader.set_key(&entity.name(), 1, epoch_key).unwrap();
     reader.confirm_session(&entity.name(), writer.session(), 1).unwrap();

@@ -39,9 +39,9 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     assert!(matches!(refused, Err(CertError::WrongEntity { .. })), "{refused:?}");
 
     let epoch_key = EpochKey::generate()?;
-    let mut sealing = Writer::new(name, writer.name(), writer.key().clone(), Backend::default())?;
+    let mut sealing = Writer::new(name, writer.name(), writer.key().clone(), Backend::selected())?;
     sealing.set_epoch(1, &epoch_key)?;
-    let mut opening = Reader::new(name, Backend::default(), ReaderLimits::default());
+    let mut opening = Reader::new(name, Backend::selected(), ReaderLimits::default());
     opening.authorise(writer.name(), writer.key().verify_key())?;
     opening.set_key(&writer.name(), 1, epoch_key)?;
     opening.confirm_session(&writer.name(), sealing.session(), 1)?;

@@ -116,7 +116,7 @@ impl SigningKey {
     fn from_secret(secret: SecretKey) -> Result<Self, CryptoError> {
         let point = secret.public_key().to_sec1_point(true);
         let public = point.as_bytes().try_into().map_err(|_| CryptoError::BadPrivateKey)?;
-        let signer = Backend::default().signer(&pkcs8_der(&secret))?;
+        let signer = Backend::RustCrypto.signer(&pkcs8_der(&secret))?;
         let scalar: Zeroizing<[u8; 32]> = Zeroizing::new(secret.to_bytes().into());
         let box_key = BoxKey::derive(&scalar)?;
         Ok(Self(Arc::new(Inner { secret, public, signer, box_key })))

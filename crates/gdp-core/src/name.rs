@@ -2,7 +2,7 @@
 //! `docs/wire-format.md`, "Names", specifies the bytes: `name = SHA-256("gdp/name/1" ‖ owner key ‖
 //! SHA-256(JCS(metadata)))`.
 
-use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
+use crate::crypto::{self, CryptoError, PUBLIC_KEY_LEN};
 use crate::verify_key::VerifyKey;
 pub use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -16,12 +16,12 @@ pub type Metadata = BTreeMap<String, String>;
 
 /// Returns the SHA-256 hash of the canonical JSON (RFC 8785) of `metadata`.
 pub fn inner_digest(metadata: &Metadata) -> [u8; 32] {
-    Backend::default().sha256(&[canonical_json(metadata).as_bytes()])
+    crypto::sha256(&[canonical_json(metadata).as_bytes()])
 }
 
 /// Derives the name from `owner_key` (SEC1 compressed) and the inner digest of its metadata.
 pub fn derive(owner_key: &[u8; PUBLIC_KEY_LEN], digest: &[u8; 32]) -> Name {
-    Name::from_bytes(Backend::default().sha256(&[b"gdp/name/1", owner_key, digest]))
+    Name::from_bytes(crypto::sha256(&[b"gdp/name/1", owner_key, digest]))
 }
 
 /// Returns the canonical JSON (RFC 8785) of a map of strings. Keys are ordered by their UTF-16 code

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
 use gdp_core::cert::MAX_ADDRESSES;
+use gdp_core::crypto::Backend;
 use gdp_core::domain::{CredentialFiles, MAX_PEERS};
 use gdp_link::link::RekeySchedule;
 use gdp_wire::Name;
@@ -60,6 +61,8 @@ pub struct Config {
     pub public: Vec<SocketAddr>,
     /// The store of the RIB, if it is one of several replicas.
     pub etcd: Option<EtcdConfig>,
+    /// The back end of cryptography, if it is not the default one.
+    pub crypto: Option<Backend>,
     /// The schedule of link key rotation. Not an option of the file.
     pub rekey: RekeySchedule,
 }
@@ -179,6 +182,7 @@ impl Config {
             domain: None,
             public: Vec::new(),
             etcd: None,
+            crypto: None,
             rekey: RekeySchedule::default(),
         }
     }
@@ -281,6 +285,7 @@ struct File {
     domain: Option<DomainEntry>,
     public: Vec<SocketAddr>,
     etcd: Option<EtcdEntry>,
+    crypto: Option<Backend>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -428,6 +433,7 @@ impl File {
             fib_capacity,
             bpffs: self.bpffs.map(here),
             public: self.public,
+            crypto: self.crypto,
             domain: self.domain.map(|entry| DomainConfig {
                 files: CredentialFiles {
                     card: here(entry.card),

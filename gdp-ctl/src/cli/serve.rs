@@ -74,6 +74,9 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     if !options.interface.is_empty() {
         config.name_interfaces(options.interface);
     }
+    if let Some(backend) = config.crypto {
+        backend.select()?;
+    }
     // Drop privileges before other threads start.
     privileges::restrict(&config)?;
     let _log = gdp_util::log::start();

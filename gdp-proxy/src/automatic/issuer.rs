@@ -7,7 +7,7 @@
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Grantee, Issued, ReadGrant, issue};
-use gdp_core::crypto::{Backend, CryptoError};
+use gdp_core::crypto::{self, CryptoError};
 use gdp_core::identity::SigningKey;
 use gdp_core::name::Metadata;
 use gdp_wire::Name;
@@ -87,7 +87,7 @@ pub fn card_of(
     let mut metadata: Metadata = exposed.rule_options.meta.clone();
     metadata.extend(said.map(|(key, value)| (key.to_owned(), value.to_owned())));
     let said = gdp_core::name::canonical_json(&metadata);
-    let secret = Backend::default().hkdf_sha256(&[], &owner.pkcs8_der(), &[CONTEXT, said.as_bytes()])?;
+    let secret = crypto::hkdf_sha256(&[], &owner.pkcs8_der(), &[CONTEXT, said.as_bytes()])?;
     metadata.insert("nonce".into(), hex::encode(&secret[..16]));
     Ok(NameCard::new(owner.verify_key(), metadata)?)
 }

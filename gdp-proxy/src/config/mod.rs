@@ -23,6 +23,7 @@ use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
 use gdp::LinkConfig;
+use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
@@ -80,6 +81,10 @@ pub struct Config {
     #[serde(default, deserialize_with = "relay::relay")]
     #[schemars(schema_with = "relay::schema")]
     pub relay: Option<RelayConfig>,
+    /// The back end of cryptography, if it is not the default one: `aws-lc` or `rustcrypto`.
+    #[serde(default)]
+    #[schemars(schema_with = "schema::crypto")]
+    pub crypto: Option<Backend>,
     /// The ROS graphs of the proxy.
     #[serde(default)]
     pub graphs: Graphs,
@@ -231,6 +236,7 @@ impl Config {
             ("links", self.links != new.links),
             ("state", self.state != new.state),
             ("domain", self.domain != new.domain),
+            ("crypto", self.crypto != new.crypto),
             ("relay", self.relay != new.relay),
             ("definitions", self.definitions != new.definitions),
         ];

@@ -19,6 +19,11 @@ pub(super) fn readers(generator: &mut SchemaGenerator) -> Schema {
     list_of::<String, Role>(generator)
 }
 
+/// The values of all builds. One without `aws-lc` refuses that value.
+pub(super) fn crypto(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({"enum": ["aws-lc", "rustcrypto"]})
+}
+
 fn list_of<A: JsonSchema, B: JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
     let either = [generator.subschema_for::<A>(), generator.subschema_for::<B>()];
     json_schema!({"type": "array", "items": {"anyOf": either}})

@@ -7,6 +7,7 @@
 
 mod actionlib;
 mod automatic;
+mod crypto;
 mod direct;
 mod floods;
 mod frames;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use gdp::Server;
-use gdp_core::crypto::Backend;
+use gdp_core::crypto;
 use gdp_ros::call::{CALL, Description, Epoch, FailureCode, Reply, Request};
 use gdp_ros::roster::{Dialect, Kind};
 use gdp_wire::Name;
@@ -229,7 +229,7 @@ fn nearest_to_one(site: &Site, prefix: &str) -> String {
     let mut labels = (0..).map(|i| format!("{prefix}{i}"));
     let is_nearest = |label: &String| {
         let client = name(label);
-        let tie = |server: &&Name| Backend::default().sha256(&[client.as_bytes(), server.as_bytes()]);
+        let tie = |server: &&Name| crypto::sha256(&[client.as_bytes(), server.as_bytes()]);
         servers.iter().min_by_key(tie) == servers.first()
     };
     labels.find(is_nearest).unwrap()

@@ -82,7 +82,7 @@ impl Sealer {
         scheduler: &Arc<Scheduler>,
         ending: &Arc<Ending>,
     ) -> Result<Self, NodeError> {
-        let mut writer = Writer::new(name, identity.name(), identity.key().clone(), Backend::default())?;
+        let mut writer = Writer::new(name, identity.name(), identity.key().clone(), Backend::selected())?;
         let ring = KeyRing::new(name, identity, options.rotation, unix_nanos())?;
         let (epoch, key) = ring.current();
         writer.set_epoch(epoch, key)?;

@@ -11,7 +11,7 @@ use gdp_wire::Name;
 use tokio::sync::watch;
 
 use gdp_core::cert::Revocation;
-use gdp_core::crypto::Backend;
+use gdp_core::crypto;
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
 /// Time for which a detached party and its outstanding calls are retained, because links return. In
@@ -164,7 +164,7 @@ impl ServiceInstances {
             stated_at,
             presence: None,
             absent_since: 0,
-            tie: Backend::default().sha256(&[own.as_bytes(), entity.as_bytes()]),
+            tie: crypto::sha256(&[own.as_bytes(), entity.as_bytes()]),
         };
         let party = self.known.entry(entity).or_insert_with(new);
         if party.presence.is_none() {

@@ -109,7 +109,7 @@ impl SubscriptionReceiver {
     pub fn new(name: Name, options: SubscribeOptions, queue: mpsc::Sender<Message>, shared: Arc<QueueState>) -> Self {
         Self {
             name,
-            reader: Reader::new(name, Backend::default(), options.limits),
+            reader: Reader::new(name, Backend::selected(), options.limits),
             options,
             queue,
             shared,

@@ -82,9 +82,9 @@ impl Pair {
     fn new(batch: usize) -> Result<Self> {
         let (name, identity, key) = (Name::from_bytes([7; 32]), Identity::generate("proxy")?, EpochKey::generate()?);
         let from = identity.name();
-        let mut writer = Writer::new(name, from, identity.key().clone(), Backend::default())?;
+        let mut writer = Writer::new(name, from, identity.key().clone(), Backend::selected())?;
         writer.set_epoch(EPOCH, &key)?;
-        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
+        let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
         reader.authorise(from, identity.key().verify_key())?;
         let vouched =
             reader.set_key(&from, EPOCH, key).and_then(|()| reader.confirm_session(&from, writer.session(), 1));

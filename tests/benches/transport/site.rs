@@ -77,6 +77,7 @@ impl Site {
             domain: None,
             public: Vec::new(),
             etcd: None,
+            crypto: None,
             rekey: RekeySchedule::default(),
         };
         let inside = Inside::new(&chain.switches()[0], ROOT)?;

@@ -5,6 +5,7 @@
 
 mod calls;
 mod control;
+mod crypto;
 mod forward;
 mod hogs;
 mod idle;
@@ -33,6 +34,8 @@ enum Figure {
     /// Measure the control plane: statements and queries per second, memory per name, recovery
     /// after a cut, reconciliation
     Control(control::Options),
+    /// Measure the cryptography of RustCrypto beside that of AWS-LC, by operation and by message
+    Crypto(crypto::Options),
     /// Measure the paths between two endpoints on the switch's host: daemon, packet sockets,
     /// interface pair
     Local(local::Options),
@@ -56,6 +59,7 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Latency(options) => latency::run(options),
         Figure::Forward(options) => forward::run(options),
         Figure::Control(options) => control::run(options),
+        Figure::Crypto(options) => crypto::run(options),
         Figure::Local(options) => local::run(options),
         Figure::Ros(options) => ros::run(options),
         Figure::Hogs(options) => hogs::run(options),

@@ -1,11 +1,16 @@
-//! Cryptographic primitives with two interchangeable back ends: aws-lc-rs (default, fast) and
-//! RustCrypto (portable). Both are always compiled, and the tests check each against the other.
-//! This module contains no protocol.
+//! Cryptographic primitives, without any protocol.
+//!
+//! Everything is RustCrypto's: `sha2`, `hkdf`, `aes-gcm`, `p256` and `hpke`. What the endpoints do
+//! for each message also has a faster back end, AWS-LC: AES-256-GCM of what is sealed, and the
+//! signatures and verifications. `cargo xtask bench crypto` compares them. The outputs of both are
+//! interchangeable, and the tests check each against the other.
 //!
 //! ECDSA signatures are 64 bytes `r ‖ s`. Both back ends produce and accept only the lower of the
 //! two equivalent values of `s`, so that signed bytes have one form.
 
+#[cfg(feature = "aws-lc")]
 mod aws_lc;
+mod backend;
 mod error;
 mod hpke;
 mod lengths;
@@ -15,92 +20,19 @@ mod rust_crypto;
 
 use std::fmt;
 
+use subtle::ConstantTimeEq;
+
+pub use backend::{Backend, BackendError};
 pub use error::CryptoError;
 pub use lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
 pub use parsed::parsed;
-
-/// Implementation of the primitives. The outputs of both are interchangeable.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Backend {
-    #[default]
-    AwsLc,
-    RustCrypto,
-}
-
-impl Backend {
-    pub const ALL: [Self; 2] = [Self::AwsLc, Self::RustCrypto];
-
-    /// Returns the SHA-256 hash of the concatenation of `parts`.
-    pub fn sha256(self, parts: &[&[u8]]) -> [u8; 32] {
-        match self {
-            Self::AwsLc => aws_lc::sha256(parts),
-            Self::RustCrypto => rust_crypto::sha256(parts),
-        }
-    }
-
-    /// Derives 32 bytes by HKDF-SHA256 (RFC 5869), with `info` as the concatenation of its parts.
-    pub fn hkdf_sha256(
-        self,
-        salt: &[u8],
-        ikm: &[u8],
-        info: &[&[u8]],
-    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
-        match self {
-            Self::AwsLc => aws_lc::hkdf_sha256(salt, ikm, info),
-            Self::RustCrypto => rust_crypto::hkdf_sha256(salt, ikm, info),
-        }
-    }
-
-    /// Creates an AES-256-GCM cipher with `key`.
-    pub fn aead(self, key: &[u8; 32]) -> Result<Aead, CryptoError> {
-        Ok(Aead(match self {
-            Self::AwsLc => AeadImpl::AwsLc(aws_lc::Aead::new(key)?),
-            Self::RustCrypto => AeadImpl::RustCrypto(Box::new(rust_crypto::Aead::new(key))),
-        }))
-    }
-
-    /// Parses a public key for verifying many signatures.
-    pub fn verifier(self, public: &[u8; PUBLIC_KEY_LEN]) -> Result<Verifier, CryptoError> {
-        Ok(Verifier(match self {
-            Self::AwsLc => VerifierImpl::AwsLc(aws_lc::Verifier::new(public)?),
-            Self::RustCrypto => VerifierImpl::RustCrypto(rust_crypto::Verifier::new(public)?),
-        }))
-    }
-
-    /// Creates a signing key pair from a PKCS#8 P-256 private key.
-    pub fn signer(self, pkcs8_der: &[u8]) -> Result<Signer, CryptoError> {
-        Ok(Signer(match self {
-            Self::AwsLc => SignerImpl::AwsLc(aws_lc::Signer::new(pkcs8_der)?),
-            Self::RustCrypto => SignerImpl::RustCrypto(rust_crypto::Signer::new(pkcs8_der)?),
-        }))
-    }
-
-    /// Returns the public key, SEC1 compressed, of a private P-256 key (32 bytes, big endian).
-    pub fn agreement_public(self, secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
-        match self {
-            Self::AwsLc => aws_lc::agreement_public(secret),
-            Self::RustCrypto => rust_crypto::agreement_public(secret),
-        }
-    }
-
-    /// Performs ECDH on P-256 and returns the shared x coordinate. Pass it through
-    /// [`Self::hkdf_sha256`].
-    pub fn agree(
-        self,
-        secret: &[u8; 32],
-        public: &[u8; PUBLIC_KEY_LEN],
-    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
-        match self {
-            Self::AwsLc => aws_lc::agree(secret, public),
-            Self::RustCrypto => rust_crypto::agree(secret, public),
-        }
-    }
-}
+pub use rust_crypto::{agree, agreement_public, hkdf_sha256, sha256};
 
 /// AES-256-GCM with detached 16-byte tags. The caller must never use a nonce twice with one key.
 pub struct Aead(AeadImpl);
 
 enum AeadImpl {
+    #[cfg(feature = "aws-lc")]
     AwsLc(aws_lc::Aead),
     RustCrypto(Box<rust_crypto::Aead>),
 }
@@ -109,6 +41,7 @@ impl Aead {
     /// Encrypts `data` in place and returns the tag.
     pub fn seal(&self, nonce: &[u8; NONCE_LEN], aad: &[u8], data: &mut [u8]) -> Result<[u8; TAG_LEN], CryptoError> {
         match &self.0 {
+            #[cfg(feature = "aws-lc")]
             AeadImpl::AwsLc(aead) => aead.seal(nonce, aad, data),
             AeadImpl::RustCrypto(aead) => aead.seal(nonce, aad, data),
         }
@@ -125,6 +58,7 @@ impl Aead {
         out: &mut [u8],
     ) -> Result<(), CryptoError> {
         match &self.0 {
+            #[cfg(feature = "aws-lc")]
             AeadImpl::AwsLc(aead) => aead.open(nonce, aad, ciphertext, tag, out),
             AeadImpl::RustCrypto(aead) => aead.open(nonce, aad, ciphertext, tag, out),
         }
@@ -141,6 +75,7 @@ impl fmt::Debug for Aead {
 pub struct Verifier(VerifierImpl);
 
 enum VerifierImpl {
+    #[cfg(feature = "aws-lc")]
     AwsLc(aws_lc::Verifier),
     RustCrypto(rust_crypto::Verifier),
 }
@@ -152,6 +87,7 @@ impl Verifier {
             return Err(CryptoError::HighS);
         }
         match &self.0 {
+            #[cfg(feature = "aws-lc")]
             VerifierImpl::AwsLc(verifier) => verifier.verify(message, signature),
             VerifierImpl::RustCrypto(verifier) => verifier.verify(message, signature),
         }
@@ -168,6 +104,7 @@ impl fmt::Debug for Verifier {
 pub struct Signer(SignerImpl);
 
 enum SignerImpl {
+    #[cfg(feature = "aws-lc")]
     AwsLc(aws_lc::Signer),
     RustCrypto(rust_crypto::Signer),
 }
@@ -176,6 +113,7 @@ impl Signer {
     /// Signs `message`. The result has a low `s`.
     pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
         let signature = match &self.0 {
+            #[cfg(feature = "aws-lc")]
             SignerImpl::AwsLc(signer) => signer.sign(message)?,
             SignerImpl::RustCrypto(signer) => signer.sign(message),
         };
@@ -208,7 +146,7 @@ pub fn hpke_open(secret: &[u8; 32], info: &[u8], sealed: &[u8]) -> Result<zeroiz
 
 /// Compares two secrets in constant time.
 pub fn same_secret(a: &[u8; 32], b: &[u8; 32]) -> bool {
-    aws_lc_rs::constant_time::verify_slices_are_equal(a, b).is_ok()
+    a.ct_eq(b).into()
 }
 
 /// Returns random bytes from the system, fit for keys, sessions and nonces.

@@ -24,13 +24,13 @@ thread_local! {
     static KEY_CACHE: RefCell<KeyCache> = RefCell::default();
 }
 
-/// Returns the parsed key for verification by the default back end.
+/// Returns the parsed key for verification by the selected back end.
 pub fn parsed(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Rc<Verifier>, CryptoError> {
     KEY_CACHE.with_borrow_mut(|lately| {
         if let Some((_, known)) = lately.keys.iter().find(|(key, _)| key == public) {
             return Ok(known.clone());
         }
-        let entry = (*public, Rc::new(Backend::default().verifier(public)?));
+        let entry = (*public, Rc::new(Backend::selected().verifier(public)?));
         let verifier = entry.1.clone();
         if lately.keys.len() < CACHED {
             lately.keys.push(entry);

@@ -1,5 +1,5 @@
-//! The portable back end: RustCrypto's `sha2`, `hkdf`, `aes-gcm` and `p256`. Only `crypto` calls
-//! it. Its signatures are deterministic (RFC 6979), which the test vectors rely on.
+//! RustCrypto's `sha2`, `hkdf`, `aes-gcm` and `p256`. Only `crypto` calls it. Its signatures are
+//! deterministic (RFC 6979), which the test vectors rely on.
 
 use crate::crypto::error::CryptoError;
 use crate::crypto::lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
@@ -17,12 +17,14 @@ use p256::{PublicKey, SecretKey, ecdh};
 use sha2::{Digest, Sha256};
 use zeroize::Zeroizing;
 
+/// Returns the SHA-256 hash of the concatenation of `parts`.
 pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
     let mut hasher = Sha256::new();
     parts.iter().for_each(|part| hasher.update(part));
     hasher.finalize().into()
 }
 
+/// Derives 32 bytes by HKDF-SHA256 (RFC 5869), with `info` as the concatenation of its parts.
 pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
     let mut out = Zeroizing::new([0u8; 32]);
     hkdf::Hkdf::<Sha256>::new(Some(salt), ikm)
@@ -31,11 +33,13 @@ pub fn hkdf_sha256(salt: &[u8], ikm: &[u8], info: &[&[u8]]) -> Result<Zeroizing<
     Ok(out)
 }
 
+/// Returns the public key, SEC1 compressed, of a private P-256 key (32 bytes, big endian).
 pub fn agreement_public(secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
     let point = private_key(secret)?.public_key().to_sec1_point(true);
     point.as_bytes().try_into().map_err(|_| CryptoError::Internal)
 }
 
+/// Performs ECDH on P-256 and returns the shared x coordinate. Pass it through [`hkdf_sha256`].
 pub fn agree(secret: &[u8; 32], public: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
     let public = PublicKey::from_sec1_bytes(public).map_err(|_| CryptoError::BadPublicKey)?;
     let shared = ecdh::diffie_hellman(private_key(secret)?.to_nonzero_scalar(), public.as_affine());

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use zeroize::Zeroizing;
 
 use crate::crypto;
-use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
+use crate::crypto::{CryptoError, PUBLIC_KEY_LEN};
 
 const CONTEXT: &[u8] = b"gdp/box-key/1";
 
@@ -27,8 +27,8 @@ impl BoxKey {
     /// which the result is a valid key: 0 except for one in 2³².
     pub(crate) fn derive(signing_secret: &[u8; 32]) -> Result<Self, CryptoError> {
         for i in 0..=u8::MAX {
-            let secret = Backend::default().hkdf_sha256(&[], signing_secret, &[CONTEXT, &[i]])?;
-            if let Ok(public) = Backend::default().agreement_public(&secret) {
+            let secret = crypto::hkdf_sha256(&[], signing_secret, &[CONTEXT, &[i]])?;
+            if let Ok(public) = crypto::agreement_public(&secret) {
                 return Ok(Self(Arc::new(Inner { secret, public })));
             }
         }
@@ -48,7 +48,7 @@ impl BoxKey {
     /// Returns the shared secret of this key and the private key of `peer` (public key SEC1
     /// compressed).
     pub fn agree(&self, peer: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
-        Backend::default().agree(&self.0.secret, peer)
+        crypto::agree(&self.0.secret, peer)
     }
 }
 

@@ -51,7 +51,7 @@ impl EpochKey {
         session: &[u8; 16],
     ) -> Result<SessionKey, CryptoError> {
         let derive = |context: &[u8]| {
-            backend.hkdf_sha256(session, self.0.as_slice(), &[context, name.as_bytes(), writer.as_bytes()])
+            crypto::hkdf_sha256(session, self.0.as_slice(), &[context, name.as_bytes(), writer.as_bytes()])
         };
         let aead = backend.aead(&*derive(SESSION_CONTEXT)?)?;
         Ok(SessionKey { aead, commitment: *derive(COMMITMENT_CONTEXT)? })

@@ -55,14 +55,14 @@ impl WriterState {
         plaintext: Cow<'_, [u8]>,
         signed: SignedParts<'_>,
     ) -> Result<(), DropReason> {
-        let ReaderContext { backend, name, limits, .. } = &*push.shared;
+        let ReaderContext { name, limits, .. } = &*push.shared;
         let max_message = limits.max_message;
         let SignedParts { commitment, digests, proof } = signed;
-        let leaf = wire::leaf(*backend, &commitment, (name, &self.name), header, digests);
+        let leaf = wire::leaf(&commitment, (name, &self.name), header, digests);
         let is_signed = |root: &[u8; 32]| -> Result<(), CryptoError> {
             self.verifier.verify(&wire::batch_statement(root), proof.signature)
         };
-        self.signed.verify(*backend, leaf, proof.position, proof.path, is_signed).map_err(unsigned)?;
+        self.signed.verify(leaf, proof.position, proof.path, is_signed).map_err(unsigned)?;
         if header.kind != Kind::Bundle {
             let preamble = Preamble::parse(&plaintext)?;
             if preamble.body.len() > max_message {

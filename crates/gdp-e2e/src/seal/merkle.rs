@@ -4,7 +4,7 @@
 //! therefore cannot pass for an inner node, and no known input hashes to zero.
 
 use super::wire::MAX_DEPTH;
-use gdp_core::crypto::Backend;
+use gdp_core::crypto;
 
 const PADDING: [u8; 32] = [0; 32];
 
@@ -22,7 +22,7 @@ pub fn depth(count: usize) -> usize {
 }
 
 impl Tree {
-    pub fn build(&mut self, backend: Backend, leaves: &[[u8; 32]]) {
+    pub fn build(&mut self, leaves: &[[u8; 32]]) {
         self.depth = depth(leaves.len());
         self.nodes.clear();
         self.nodes.extend_from_slice(leaves);
@@ -31,7 +31,7 @@ impl Tree {
         for level in (0..self.depth).rev() {
             let start = self.nodes.len();
             for i in 0..1 << level {
-                let node = node(backend, &self.nodes[below + 2 * i], &self.nodes[below + 2 * i + 1]);
+                let node = node(&self.nodes[below + 2 * i], &self.nodes[below + 2 * i + 1]);
                 self.nodes.push(node);
             }
             below = start;
@@ -77,7 +77,6 @@ impl SignedTree {
     /// most [`MAX_DEPTH`]). Calls `is_signed` for the root unless the root is the known one.
     pub fn verify<E>(
         &mut self,
-        backend: Backend,
         leaf: [u8; 32],
         position: u16,
         path: &[[u8; 32]],
@@ -98,7 +97,7 @@ impl SignedTree {
                 return Ok(());
             }
             *pair = if index % 2 == 0 { [hash, *sibling] } else { [*sibling, hash] };
-            hash = node(backend, &pair[0], &pair[1]);
+            hash = node(&pair[0], &pair[1]);
         }
         if self.root != Some(hash) {
             is_signed(&hash)?;
@@ -108,8 +107,8 @@ impl SignedTree {
     }
 }
 
-fn node(backend: Backend, left: &[u8; 32], right: &[u8; 32]) -> [u8; 32] {
-    backend.sha256(&[&[1], left, right])
+fn node(left: &[u8; 32], right: &[u8; 32]) -> [u8; 32] {
+    crypto::sha256(&[&[1], left, right])
 }
 
 #[cfg(test)]

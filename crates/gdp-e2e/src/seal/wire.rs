@@ -3,7 +3,7 @@
 
 use super::DropReason;
 use super::message::{BUNDLED_HEADER_LEN, TIMESTAMP_LEN};
-use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
+use gdp_core::crypto::{self, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
 
 const MESSAGE_CONTEXT: &[u8] = b"gdp/message/2";
@@ -244,7 +244,6 @@ impl<'a> Proof<'a> {
 /// The commitment binds the signature to the key, so that a message that was signed under one key
 /// of an epoch does not count under another one.
 pub fn leaf(
-    backend: Backend,
     commitment: &[u8; 32],
     (name, writer): (&Name, &Name),
     header: &SegmentHeader,
@@ -254,7 +253,7 @@ pub fn leaf(
     // Sequence, cut, session, count, size and epoch.
     let message = &header.to_bytes()[8..];
     let (name, writer) = (name.as_bytes(), writer.as_bytes());
-    backend.sha256(&[&[0], context, commitment, name, writer, message, digests.as_flattened()])
+    crypto::sha256(&[&[0], context, commitment, name, writer, message, digests.as_flattened()])
 }
 
 /// Returns the signed statement for the tree with this root.

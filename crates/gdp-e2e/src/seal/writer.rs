@@ -347,7 +347,7 @@ impl Writer {
                 }
             }
             let (commitment, place) = (&self.key()?.commitment, (&self.name, &self.writer));
-            let leaf = wire::leaf(self.backend, commitment, place, &header, &self.scratch.digests);
+            let leaf = wire::leaf(commitment, place, &header, &self.scratch.digests);
             self.scratch.leaves.push(leaf);
         }
         self.seal_pending(out)
@@ -380,7 +380,7 @@ impl Writer {
             buffer.extend_from_slice(from_head);
             buffer.extend_from_slice(from_body);
             let sealed = at + wire::HEADER_LEN;
-            self.scratch.digests.push(self.backend.sha256(&[&buffer[sealed..]]));
+            self.scratch.digests.push(crypto::sha256(&[&buffer[sealed..]]));
             let tag = self.key()?.aead.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
             buffer.extend_from_slice(&tag);
         }
@@ -409,7 +409,7 @@ impl Writer {
         let buffer = out.buffer();
         buffer.extend_from_slice(&header.to_bytes());
         fill(buffer);
-        self.scratch.digests.push(self.backend.sha256(&[&buffer[at + wire::HEADER_LEN..]]));
+        self.scratch.digests.push(crypto::sha256(&[&buffer[at + wire::HEADER_LEN..]]));
         buffer.resize(at + len + proof_len + OVERHEAD, 0);
         self.scratch.pending.push(Pending { at, header });
     }
@@ -417,7 +417,7 @@ impl Writer {
     /// Signs the tree of the leaves, and seals the prepared segments with their proofs.
     fn seal_pending(&mut self, out: &mut Segments) -> Result<(), SealError> {
         let Scratch { leaves, pending, tree, path, .. } = &mut self.scratch;
-        tree.build(self.backend, leaves);
+        tree.build(leaves);
         let signature = self.signer.sign(&wire::batch_statement(&tree.root()))?;
         let aead = self.epoch.as_ref().map(|epoch| &epoch.key.aead).ok_or(SealError::NoEpoch)?;
         for (position, Pending { at, header }) in pending.iter().enumerate() {

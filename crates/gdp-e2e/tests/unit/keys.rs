@@ -429,7 +429,7 @@ impl Reader {
 }
 
 fn aead(key: &EpochKey) -> gdp_core::crypto::Aead {
-    Backend::default().aead(key.as_bytes()).unwrap()
+    Backend::selected().aead(key.as_bytes()).unwrap()
 }
 
 fn identity(seed: u8) -> Identity {

@@ -12,8 +12,8 @@ use std::cell::Cell;
 
 #[test]
 fn messages_of_any_size_cross_between_all_back_ends() {
-    for writing in Backend::ALL {
-        for reading in Backend::ALL {
+    for &writing in Backend::ALL {
+        for &reading in Backend::ALL {
             let f = Fixture { writing, reading, ..Fixture::new() };
             let (mut writer, mut reader) = (f.writer(), f.reader());
             let mut segments = Segments::new();
@@ -268,8 +268,8 @@ impl Fixture {
             entity: Identity::new(SigningKey::from_secret_bytes(&[1; 32]).unwrap(), "proxy"),
             other: Identity::new(SigningKey::from_secret_bytes(&[2; 32]).unwrap(), "proxy"),
             epoch_key: EpochKey::from_bytes([0x22; 32]),
-            writing: Backend::default(),
-            reading: Backend::default(),
+            writing: Backend::selected(),
+            reading: Backend::selected(),
             limits: limits(),
             begun: Cell::new(0),
         }

@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use gdp_wire::LinkEntry;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
-use gdp_core::crypto::{Backend, CryptoError};
+use gdp_core::crypto::{self, CryptoError};
 
 const KEY_CONTEXT: &[u8] = b"gdp/link-key/1";
 const SECRET_CONTEXT: &[u8] = b"gdp/link-secret/1";
@@ -266,7 +266,7 @@ impl TrafficSecret {
 }
 
 fn derive(secret: &[u8; 32], context: &[u8]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
-    Backend::default().hkdf_sha256(&[], secret, &[context])
+    crypto::hkdf_sha256(&[], secret, &[context])
 }
 
 #[cfg(test)]

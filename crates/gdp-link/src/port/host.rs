@@ -12,7 +12,7 @@ use std::os::fd::BorrowedFd;
 use std::sync::Arc;
 
 use super::sys;
-use gdp_core::crypto::Backend;
+use gdp_core::crypto;
 use parking_lot::Mutex;
 
 /// The addresses of a switch and its host on the interface pair between them.
@@ -49,7 +49,7 @@ pub fn id(socket: BorrowedFd) -> Option<u64> {
     const SO_NETNS_COOKIE: libc::c_int = 71;
     let cookie: u64 = sys::get_option(socket, libc::SOL_SOCKET, SO_NETNS_COOKIE).ok()?;
     let boot = fs::read("/proc/sys/kernel/random/boot_id").ok()?;
-    let digest = Backend::default().sha256(&[b"gdp/host/1", &boot, &cookie.to_be_bytes()]);
+    let digest = crypto::sha256(&[b"gdp/host/1", &boot, &cookie.to_be_bytes()]);
     digest.first_chunk().map(|first| u64::from_be_bytes(*first))
 }
 

@@ -64,7 +64,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     ));
     fabric.lie(card.name(), &rogue, card.proof(), forged);
     let (key, mut segments) = (rogue.0.state.identity.key().clone(), Segments::new());
-    let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::default()).unwrap();
+    let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::selected()).unwrap();
     writer.set_epoch(1, &EpochKey::generate().unwrap()).unwrap();
     writer.seal(unix_nanos(), Encoding::Bytes, b"forged", 1000, &mut segments).unwrap();
     let attachment = rogue.0.state.send_path.links.attached_now().unwrap();
@@ -603,7 +603,7 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     // The second caller has a right of its own, and all key boxes that are addressed to it.
     let mut readers = Vec::new();
     for (name, writer) in [(robot.name(), &one), (one.name(), &robot)] {
-        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
+        let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
         let key = writer.0.state.identity.key().verify_key();
         reader.authorise(writer.name(), key).unwrap();
         let reader_key = (two.name(), two.0.state.identity.box_key());

@@ -54,7 +54,7 @@ fn nothing_is_left_of_writers_that_came_and_went() {
         let mut bytes = [0; 32];
         bytes[..8].copy_from_slice(&n.to_be_bytes());
         let writer = Name::from_bytes(bytes);
-        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::default()).unwrap();
+        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::selected()).unwrap();
         seals.set_epoch(1, &EpochKey::from_bytes([2; 32])).unwrap();
         let now = Timestamps { steady_ns: n * 1_000_000, unix_ns: 1_000_000_000 };
         intake.change(now.steady_ns, Change::Authorise { writer, key: key.verify_key() });
@@ -99,7 +99,7 @@ fn a_mark_counts_for_who_sealed_the_frame_only() {
     let now = Timestamps { steady_ns: 1_000_000, unix_ns: 1_000_000_000 };
     let mut seals = [2, 3].map(|n| {
         let (writer, secret) = (Name::from_bytes([n; 32]), EpochKey::from_bytes([n; 32]));
-        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::default()).unwrap();
+        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::selected()).unwrap();
         seals.set_epoch(1, &secret).unwrap();
         intake.change(now.steady_ns, Change::Authorise { writer, key: key.verify_key() });
         intake.change(now.steady_ns, Change::Key { writer, opened: Opened { epoch: 1, key: secret, dropped: None } });

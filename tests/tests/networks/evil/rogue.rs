@@ -130,7 +130,7 @@ impl Rogue {
     /// Reads frames to this name from this writer, with all keys of the entity and without asking
     /// the RIB.
     pub fn read(&self, name: Name, writer: &Identity, frames: &[Frame]) -> Result<Vec<Message>> {
-        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
+        let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
         reader.authorise(writer.name(), writer.key().verify_key())?;
         for (epoch, key) in self.keys(name, writer) {
             reader.set_key(&writer.name(), epoch, key)?;
@@ -165,12 +165,12 @@ impl Rogue {
     /// seals it with its epoch's key, which it has, for the frame's session. The signature stays
     /// unchanged. The code follows docs/wire-format.md alone, because no SDK does this.
     pub fn resealed(&self, honest: &Frame, (name, writer): (Name, &Identity), ahead: u64, to: Name) -> Result<Frame> {
-        let (backend, mut rest) = (Backend::default(), &honest.payload[..]);
+        let (backend, mut rest) = (Backend::selected(), &honest.payload[..]);
         let (session, epoch) = (&honest.payload[16..32], &honest.payload[40..44]);
         let key = self.epoch_key(name, writer, epoch)?;
         let of = writer.name();
         let info: [&[u8]; 3] = [b"gdp/session/1", name.as_bytes(), of.as_bytes()];
-        let aead = backend.aead(&*backend.hkdf_sha256(session, &key, &info)?)?;
+        let aead = backend.aead(&*crypto::hkdf_sha256(session, &key, &info)?)?;
         let mut payload = Vec::new();
         while let Some((clear, behind)) = rest.split_first_chunk::<44>() {
             let (sealed, behind) = behind.split_at(u16::from_be_bytes([clear[2], clear[3]]).into());
@@ -203,7 +203,7 @@ impl Rogue {
         let behind = der.windows(5).position(|window| window == [2, 1, 1, 4, 32]).context("not a P-256 key")? + 5;
         let mut secret = [0; 32];
         secret.copy_from_slice(&der[behind..behind + 32]);
-        let box_secret = Backend::default().hkdf_sha256(&[], &secret, &[b"gdp/box-key/1", &[0]])?;
+        let box_secret = crypto::hkdf_sha256(&[], &secret, &[b"gdp/box-key/1", &[0]])?;
         let names = [name, writer.name(), self.name()].map(|name| *name.as_bytes());
         let info = [b"gdp/key-box/1", names.as_flattened(), epoch].concat();
         Ok(crypto::hpke_open(&box_secret, &info, &claims.sealed)?.to_vec())

@@ -48,7 +48,7 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
     let mut changed = honest.payload.clone();
     let last = changed.len() - 1;
     changed[last] ^= 1;
-    let mut far = Writer::new(topic, robot, rogue.identity.key().clone(), Backend::default())?;
+    let mut far = Writer::new(topic, robot, rogue.identity.key().clone(), Backend::selected())?;
     far.set_epoch(7, &gdp_core::keys::EpochKey::generate()?)?;
     // The version of feedback, so that only its tag is wrong.
     let feedback = [&[PAIR_VERSION][..], &crypto::random::<100>()?].concat();

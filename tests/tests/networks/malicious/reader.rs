@@ -38,7 +38,7 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     let (epoch, key) = rogue.keys(name, &scene.robot_identity).pop().expect("a key");
 
     // In a session of the rogue's own, as the robot.
-    let mut writer = Writer::new(name, robot, rogue.identity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(name, robot, rogue.identity.key().clone(), Backend::selected())?;
     writer.set_epoch(epoch, &key)?;
     scene.switch.inject(&rogue.sealed(&mut writer, robot, b"forged", cloud)?);
     scene.drops("seal_unvouched", 1)?;
@@ -47,7 +47,7 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     scene.switch.inject(&frames(&heartbeat, name, robot, cloud));
     scene.drops("seal_unvouched", 2)?;
     // Under the rogue's own name.
-    let mut writer = Writer::new(name, rogue.name(), rogue.identity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(name, rogue.name(), rogue.identity.key().clone(), Backend::selected())?;
     writer.set_epoch(epoch, &key)?;
     scene.switch.inject(&rogue.sealed(&mut writer, rogue.name(), b"forged", cloud)?);
     scene.drops("seal_unknown_writer", 1)?;
@@ -249,7 +249,7 @@ async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Resu
     })?;
     assert!(error.to_string().contains("revoked"), "{error}");
     scene.delivered().await;
-    let mut thief = Writer::new(scene.owner.name(), robot, scene.robot_identity.key().clone(), Backend::default())?;
+    let mut thief = Writer::new(scene.owner.name(), robot, scene.robot_identity.key().clone(), Backend::selected())?;
     thief.set_epoch(1, &gdp_core::keys::EpochKey::generate()?)?;
     let rogue = Rogue::attach(&scene.switch)?;
     scene.switch.inject(&rogue.sealed(&mut thief, robot, b"stolen", scene.cloud.name())?);

@@ -47,7 +47,7 @@ fn writers(switch: &Switch, name: Name) -> Vec<gdp_proto::control::Record> {
 
 /// Seals a message of the rogue under its own key.
 fn forged(rogue: &Rogue, owner: &Owner, to: Name) -> Result<Vec<Frame>> {
-    let mut writer = Writer::new(owner.name(), rogue.name(), rogue.identity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(owner.name(), rogue.name(), rogue.identity.key().clone(), Backend::selected())?;
     writer.set_epoch(1, &EpochKey::generate()?)?;
     rogue.sealed(&mut writer, rogue.name(), b"forged", to)
 }
@@ -119,7 +119,7 @@ async fn boxes_of_others_are_not_opened() -> Result<()> {
         .tell(cloud.name(), (name, NameRole::Subscriber), writers(switch, name), None, vec![own, in_its_name])
         .await?;
     assert!(matches!(told, Response::Done), "{told:?}");
-    let mut writer = Writer::new(name, robot.name(), rogue.identity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(name, robot.name(), rogue.identity.key().clone(), Backend::selected())?;
     writer.set_epoch(u32::MAX, &key)?;
     switch.inject(&rogue.sealed(&mut writer, robot.name(), b"forged", cloud.name())?);
     // The cloud did not accept the key in the box.

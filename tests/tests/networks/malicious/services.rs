@@ -100,7 +100,7 @@ async fn a_client_answers_no_other_client() -> Result<()> {
         })?;
         let in_reply_to = Some(message_id(&asked));
         for (source, reason) in [(other.name(), "seal_unknown_writer"), (robot, "seal_no_key")] {
-            let mut writer = Writer::new(to, source, other.identity.key().clone(), Backend::default())?;
+            let mut writer = Writer::new(to, source, other.identity.key().clone(), Backend::selected())?;
             writer.set_epoch(1, &key)?;
             let (mut segments, draft) =
                 (Segments::new(), Draft { in_reply_to, ..Draft::new(Encoding::Bytes, b"hell") });
@@ -158,7 +158,7 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
     let before = server_node.counters().messages_received;
     switch.inject(&recorded);
     drops(server_node, "seal_duplicate", 1)?;
-    let mut writer = Writer::new(robot, from, other.identity.key().clone(), Backend::default())?;
+    let mut writer = Writer::new(robot, from, other.identity.key().clone(), Backend::selected())?;
     writer.set_epoch(1, &EpochKey::generate()?)?;
     let (mut segments, draft) =
         (Segments::new(), Draft { service: Some(owner.name()), ..Draft::new(Encoding::Bytes, b"elsewhere") });

@@ -1,8 +1,8 @@
 //! Unit tests of `crypto::hpke`.
 
 use super::*;
-use crate::crypto::{Backend, NONCE_LEN};
-use rustls::crypto::aws_lc_rs::hpke::DH_KEM_P256_HKDF_SHA256_AES_128;
+use crate::crypto::{Backend, NONCE_LEN, agree, agreement_public};
+use ::hpke::aead::AesGcm128;
 
 const SECRET: &str = "f3ce7fdae57e1a310d87f1ebbde6f328be0a99cdbcadf4d6589cf29de4b8ffd2";
 const ENCAPSULATED: &str = "04a92719c6195d5085104f469a8b9814d5838ff72b60501e2c4466e5e67b325ac9\
@@ -14,36 +14,35 @@ const INFO: &[u8] = b"Ode on a Grecian Urn";
 #[test]
 fn the_suite_with_aes_128_opens_what_the_rfc_sealed() {
     let ciphertext = "5ad590bb8baa577f8619db35a36311226a896e7342a6d836d8b7bcd2f20b6c7f9076ac232e3ab2523f39513434";
-    let plaintext = DH_KEM_P256_HKDF_SHA256_AES_128
-        .open(
-            &EncapsulatedSecret(bytes(ENCAPSULATED)),
-            INFO,
-            b"Count-0",
-            &bytes(ciphertext),
-            &HpkePrivateKey::from(bytes(SECRET)),
-        )
-        .unwrap();
-    assert_eq!(plaintext, b"Beauty is truth, truth beauty");
+    let plaintext = single_shot_open::<AesGcm128, HkdfSha256, DhP256HkdfSha256>(
+        &OpModeR::Base,
+        &PrivateKey::from_bytes(&secret()).unwrap(),
+        &EncappedKey::from_bytes(&bytes(ENCAPSULATED)).unwrap(),
+        INFO,
+        &bytes(ciphertext),
+        b"Count-0",
+    );
+    assert_eq!(plaintext.unwrap(), b"Beauty is truth, truth beauty");
     let shared_secret = "c0d26aeab536609a572b07695d933b589dcf363ff9d93c93adea537aeabb8cb8";
-    assert_eq!(hex::encode(decapsulated(Backend::default(), &bytes(ENCAPSULATED))), shared_secret);
+    assert_eq!(hex::encode(decapsulated(&bytes(ENCAPSULATED))), shared_secret);
 }
 
 /// The steps of RFC 9180 §4 and §5, written out, over each back end.
 #[test]
 fn what_it_seals_is_what_the_rfc_says() {
+    let public = agreement_public(&secret()).unwrap();
+    let sealed = seal(&public, INFO, b"a key").unwrap();
+    assert_eq!(sealed.len(), b"a key".len() + OVERHEAD);
+    let (encapsulated, ciphertext) = sealed.split_at(ENCAPSULATED_LEN);
+    let shared = decapsulated(encapsulated);
+    let suite = [&b"HPKE"[..], &[0, 0x10, 0, 1, 0, 2]].concat();
+    let extract = |salt: &[u8], label: &[u8], ikm: &[u8]| labelled_extract(salt, &suite, label, ikm);
+    let context = [&[0][..], &extract(&[], b"psk_id_hash", &[]), &extract(&[], b"info_hash", INFO)].concat();
+    let secret = extract(&shared, b"secret", &[]);
+    let key = labelled_expand(&secret, &suite, b"key", &context, 32);
+    let nonce = labelled_expand(&secret, &suite, b"base_nonce", &context, NONCE_LEN);
+    let (ciphertext, tag) = ciphertext.split_last_chunk().unwrap();
     for backend in Backend::ALL {
-        let public = backend.agreement_public(&secret()).unwrap();
-        let sealed = seal(&public, INFO, b"a key").unwrap();
-        assert_eq!(sealed.len(), b"a key".len() + OVERHEAD);
-        let (encapsulated, ciphertext) = sealed.split_at(ENCAPSULATED_LEN);
-        let shared = decapsulated(backend, encapsulated);
-        let suite = [&b"HPKE"[..], &[0, 0x10, 0, 1, 0, 2]].concat();
-        let extract = |salt: &[u8], label: &[u8], ikm: &[u8]| labelled_extract(salt, &suite, label, ikm);
-        let context = [&[0][..], &extract(&[], b"psk_id_hash", &[]), &extract(&[], b"info_hash", INFO)].concat();
-        let secret = extract(&shared, b"secret", &[]);
-        let key = labelled_expand(&secret, &suite, b"key", &context, 32);
-        let nonce = labelled_expand(&secret, &suite, b"base_nonce", &context, NONCE_LEN);
-        let (ciphertext, tag) = ciphertext.split_last_chunk().unwrap();
         let mut plaintext = vec![0; ciphertext.len()];
         let aead = backend.aead(key.as_slice().try_into().unwrap()).unwrap();
         aead.open(nonce.as_slice().try_into().unwrap(), &[], ciphertext, tag, &mut plaintext).unwrap();
@@ -53,7 +52,7 @@ fn what_it_seals_is_what_the_rfc_says() {
 
 #[test]
 fn only_the_key_and_the_info_open_it() {
-    let public = Backend::default().agreement_public(&secret()).unwrap();
+    let public = agreement_public(&secret()).unwrap();
     let sealed = seal(&public, INFO, b"a key").unwrap();
     assert_eq!(open(&secret(), INFO, &sealed).unwrap().as_slice(), b"a key");
     assert_eq!(open(&secret(), b"other", &sealed).err(), Some(CryptoError::Forged));
@@ -68,11 +67,11 @@ fn only_the_key_and_the_info_open_it() {
 }
 
 /// RFC 9180 §4.1, ExtractAndExpand of Decap.
-fn decapsulated(backend: Backend, encapsulated: &[u8]) -> Vec<u8> {
+fn decapsulated(encapsulated: &[u8]) -> Vec<u8> {
     let compressed = |point: &[u8]| PublicKey::from_sec1_bytes(point).unwrap().to_sec1_point(true);
     let peer = compressed(encapsulated).as_bytes().try_into().unwrap();
-    let shared = backend.agree(&secret(), &peer).unwrap();
-    let own = backend.agreement_public(&secret()).unwrap();
+    let shared = agree(&secret(), &peer).unwrap();
+    let own = agreement_public(&secret()).unwrap();
     let own = PublicKey::from_sec1_bytes(&own).unwrap().to_sec1_point(false);
     let suite = [&b"KEM"[..], &[0, 0x10]].concat();
     let prk = labelled_extract(&[], &suite, b"eae_prk", shared.as_slice());

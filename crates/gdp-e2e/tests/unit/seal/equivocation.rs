@@ -6,7 +6,7 @@
 use super::tests::{EPOCH, Fixture, at};
 use super::wire::{self, HEADER_LEN, Kind, Proof, SegmentHeader};
 use super::*;
-use gdp_core::crypto::{Aead, Backend, TAG_LEN};
+use gdp_core::crypto::{self, Aead, Backend, TAG_LEN};
 use gdp_core::keys::{EpochKey, SessionKey};
 
 const SESSION: [u8; 16] = [5; 16];
@@ -88,12 +88,11 @@ impl Forgery {
     /// Returns the body segment, and the proof sealed for each reader. The signature is for the key
     /// of one reader, and the message that one sees.
     fn frames(&self, f: &Fixture, key: usize, message: usize) -> Vec<Vec<u8>> {
-        let backend = Backend::default();
         let ciphertext = &self.sealed[..self.sealed.len() - TAG_LEN];
         let plaintext = xor(ciphertext, &keystream(&self.session_keys[message].aead, &self.header, ciphertext.len()));
-        let digests = [&plaintext[..], b""].map(|part| backend.sha256(&[part]));
+        let digests = [&plaintext[..], b""].map(|part| crypto::sha256(&[part]));
         let (commitment, place) = (&self.session_keys[key].commitment, (&f.name, &f.writer_name()));
-        let root = wire::leaf(backend, commitment, place, &self.header, &digests);
+        let root = wire::leaf(commitment, place, &self.header, &digests);
         let signature = f.entity.key().sign(&wire::batch_statement(&root)).unwrap();
         let len = wire::proof_len(0);
         let header = SegmentHeader { kind: Kind::Last, index: 1, sealed_len: (len + TAG_LEN) as u16, ..self.header };
@@ -139,7 +138,7 @@ fn numbered(number: u32) -> EpochKey {
 }
 
 fn session_key(f: &Fixture, key: &EpochKey) -> SessionKey {
-    key.session_key(Backend::default(), &f.name, &f.writer_name(), &SESSION).unwrap()
+    key.session_key(Backend::selected(), &f.name, &f.writer_name(), &SESSION).unwrap()
 }
 
 fn keystream(aead: &Aead, header: &SegmentHeader, len: usize) -> Vec<u8> {

@@ -3,15 +3,13 @@
 use super::*;
 use gdp_faults::Random;
 
-const BACKEND: Backend = Backend::AwsLc;
-
 #[test]
 fn every_leaf_leads_to_the_root_and_nothing_else_does() {
     let mut tree = Tree::default();
     let mut path = Vec::new();
     for count in 1..=17u8 {
         let leaves: Vec<[u8; 32]> = (1..=count).map(|i| [i; 32]).collect();
-        tree.build(BACKEND, &leaves);
+        tree.build(&leaves);
         for (position, leaf) in leaves.iter().enumerate() {
             tree.path(position, &mut path);
             assert_eq!(path.len(), depth(leaves.len()));
@@ -27,7 +25,7 @@ fn every_leaf_leads_to_the_root_and_nothing_else_does() {
 #[test]
 fn a_lone_leaf_is_the_root() {
     let mut tree = Tree::default();
-    tree.build(BACKEND, &[[7; 32]]);
+    tree.build(&[[7; 32]]);
     assert_eq!(tree.root(), [7; 32]);
 }
 
@@ -40,7 +38,7 @@ fn a_leaf_is_taken_if_its_root_is_signed_whatever_came_before() {
     for i in 0..40u64 {
         let leaves: Vec<[u8; 32]> = (0..1 + random.below(70)).map(|_| random.bytes(32).try_into().unwrap()).collect();
         let mut tree = Tree::default();
-        tree.build(BACKEND, &leaves);
+        tree.build(&leaves);
         // Every fourth tree is unsigned.
         trees.push((leaves, tree, i % 4 != 0));
     }
@@ -58,7 +56,7 @@ fn a_leaf_is_taken_if_its_root_is_signed_whatever_came_before() {
             leaf[0] ^= 1;
         }
         let signed = |root: &[u8; 32]| if *is_signed && *root == tree.root() { Ok(()) } else { Err(()) };
-        let verdict = known.verify(BACKEND, leaf, position as u16, &path, signed);
+        let verdict = known.verify(leaf, position as u16, &path, signed);
         assert_eq!(verdict.is_ok(), *is_signed && !changed);
     }
 }
@@ -69,6 +67,6 @@ fn root(leaf: [u8; 32], position: usize, path: &[[u8; 32]]) -> [u8; 32] {
         root = *found;
         Ok(())
     };
-    SignedTree::default().verify(BACKEND, leaf, position as u16, path, note).unwrap();
+    SignedTree::default().verify(leaf, position as u16, path, note).unwrap();
     root
 }

@@ -4,7 +4,7 @@
 use super::wire::{self, VERSION};
 use super::*;
 use crate::vectors::check;
-use gdp_core::crypto::Backend;
+use gdp_core::crypto::{self, Backend};
 use gdp_core::identity::SigningKey;
 use gdp_core::keys::EpochKey;
 use gdp_core::name;
@@ -100,7 +100,8 @@ fn vectors_of_segments() {
     };
     // Returns the output of readers with either back end.
     let read = |segments: &Segments| {
-        Backend::ALL.map(|backend| {
+        let backends = Backend::ALL.iter().copied();
+        let received = backends.map(|backend| {
             let mut reader = Reader::new(name, backend, ReaderLimits::default());
             reader.authorise(writer_name, key.verify_key()).unwrap();
             reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
@@ -108,7 +109,8 @@ fn vectors_of_segments() {
             let mut received = Received::default();
             tests::push_into(&mut reader, writer_name, segments.iter(), &mut received);
             received
-        })
+        });
+        received.collect::<Vec<_>>()
     };
     let payloads = |segments: &Segments| segments.iter().map(hex::encode).collect::<Vec<_>>();
     let timestamp = 1_700_000_000_123_456_789;
@@ -156,7 +158,7 @@ fn vectors_of_segments() {
         "payloads": payloads(&segments),
     });
     let later = later_releases().map(|(description, refused, payload)| {
-        for backend in Backend::ALL {
+        for &backend in Backend::ALL {
             let mut reader = Reader::new(name, backend, ReaderLimits::default());
             reader.authorise(writer_name, key.verify_key()).unwrap();
             reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
@@ -184,12 +186,12 @@ fn vectors_of_segments() {
             "session": hex::encode(session),
             "epoch": epoch,
             "epoch_key": hex::encode(epoch_key),
-            "session_key": hex::encode(*Backend::default().hkdf_sha256(
+            "session_key": hex::encode(*crypto::hkdf_sha256(
                 &session,
                 &epoch_key,
                 &[b"gdp/session/1", name.as_bytes(), writer_name.as_bytes()],
             ).unwrap()),
-            "commitment": hex::encode(*Backend::default().hkdf_sha256(
+            "commitment": hex::encode(*crypto::hkdf_sha256(
                 &session,
                 &epoch_key,
                 &[b"gdp/commit/1", name.as_bytes(), writer_name.as_bytes()],
@@ -236,8 +238,8 @@ fn compose(version: u8, kind: u8, extensions: &[u8]) -> Vec<u8> {
         size: part.len() as u32,
         epoch: 1_700_000_000,
     };
-    let digest = Backend::RustCrypto.sha256(&[&part]);
-    let root = wire::leaf(Backend::RustCrypto, &session.commitment, (&name, &writer), &header, &[digest]);
+    let digest = crypto::sha256(&[&part]);
+    let root = wire::leaf(&session.commitment, (&name, &writer), &header, &[digest]);
     let signature = key.signer(Backend::RustCrypto).unwrap().sign(&wire::batch_statement(&root)).unwrap();
     let mut sealed = [&part[..], &signature, &[0; 4]].concat();
     let mut clear = header.to_bytes();

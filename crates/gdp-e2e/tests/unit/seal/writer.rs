@@ -34,7 +34,7 @@ fn an_epoch_ends_before_its_key_has_sealed_too_much() {
 fn nothing_is_sealed_without_a_key_and_no_key_comes_back() {
     let (name, mut out) = (Name::from_bytes([1; 32]), Segments::new());
     let mut bare =
-        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::default()).unwrap();
+        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::selected()).unwrap();
     assert_eq!(bare.seal(0, Encoding::Bytes, b"x", 1000, &mut out), Err(SealError::NoEpoch));
     assert_eq!(bare.heartbeat(0, u64::MAX, 1, &mut out), Err(SealError::NoEpoch));
     let mut writer = writer();
@@ -74,7 +74,7 @@ fn messages_are_cut_anew_from_what_was_sealed() {
     assert!(again.len() > out.len() && again.iter().all(|payload| payload.len() <= 600));
 
     let name = Name::from_bytes([1; 32]);
-    let mut reader = crate::seal::Reader::new(name, Backend::default(), Default::default());
+    let mut reader = crate::seal::Reader::new(name, Backend::selected(), Default::default());
     reader.authorise(name, key).unwrap();
     reader.set_key(&name, 8, EpochKey::from_bytes([2; 32])).unwrap();
     reader.confirm_session(&name, writer.session(), 1).unwrap();
@@ -99,7 +99,7 @@ fn messages_are_cut_anew_from_what_was_sealed() {
 fn writer() -> Writer {
     let name = Name::from_bytes([1; 32]);
     let mut writer =
-        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::default()).unwrap();
+        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::selected()).unwrap();
     writer.set_epoch(7, &EpochKey::from_bytes([1; 32])).unwrap();
     writer
 }

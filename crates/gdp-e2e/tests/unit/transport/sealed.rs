@@ -12,7 +12,7 @@ use gdp_core::name::Name;
 fn frames_are_those_that_were_sealed() {
     let name = Name::from_bytes([1; 32]);
     let mut writer =
-        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::default()).unwrap();
+        Writer::new(name, name, SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Backend::selected()).unwrap();
     writer.set_epoch(1, &EpochKey::from_bytes([1; 32])).unwrap();
     // A message alone, one of several segments, and a bundle.
     let bodies = [vec![1; 10], vec![2; 5000], vec![], vec![3; 64]];
