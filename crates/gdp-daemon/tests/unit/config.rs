@@ -42,6 +42,8 @@ fn what_is_left_out_has_a_default() {
     assert_eq!(config.neighbours[0].cost, Some(7));
     assert!(!parse(&format!("rib: false\nneighbours: [{{interface: a, switch: {S}}}]")).unwrap().rib);
     assert_eq!(parse("bpffs: null").unwrap().bpffs, None);
+    assert_eq!(parse("").unwrap().crypto, None);
+    assert_eq!(parse("crypto: rustcrypto").unwrap().crypto, Some(Backend::RustCrypto));
 }
 
 #[test]
@@ -218,6 +220,7 @@ fn what_is_wrong_is_named() {
         (&format!("uplink: {{interface: a, switch: {S}, cost: 0}}"), "the least is 1"),
         (&format!("udp: null\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}"), "turns UDP off"),
         ("fib_capacity: 0", "fib_capacity"),
+        ("crypto: openssl", "rustcrypto"),
         ("domain: {card: c}", "membership"),
         ("domain: {card: c, membership: m, members: true}", "members"),
         ("domain: {card: c, membership: m, trace: all}", "all"),
