@@ -50,6 +50,9 @@ pub const MAX_MESSAGE: usize = 64 * 1024;
 /// Maximum number of hops of a control message between switches. Any longer path would be too slow.
 pub const MAX_HOPS: u8 = 64;
 
+/// Characters of an unknown kind that are shown.
+const LONGEST_KIND: usize = 64;
+
 /// Maximum nesting depth of a message; the deepest real one has fifteen levels.
 const MAX_DEPTH: usize = 24;
 
@@ -287,6 +290,19 @@ pub enum CodecError {
     TooLong(usize),
     #[error("not a control message this version understands: {0}")]
     Malformed(String),
+    /// A request, or a part of a message, of a kind that a later release may have added.
+    #[error("this release knows no {0}; run a newer one here, or the older one there")]
+    Unknown(String),
+}
+
+impl CodecError {
+    /// Returns the code with which the sender of such a request is refused.
+    pub fn code(&self) -> RefusalCode {
+        match self {
+            Self::Unknown(_) => RefusalCode::Unsupported,
+            Self::TooLong(_) | Self::Malformed(_) => RefusalCode::Malformed,
+        }
+    }
 }
 
 /// Encodes a message with its length prefix, as sent on a stream.
@@ -307,14 +323,28 @@ pub fn decode_length(prefix: [u8; 4]) -> Result<usize, CodecError> {
     if length > MAX_MESSAGE { Err(CodecError::TooLong(length)) } else { Ok(length) }
 }
 
+/// Returns the error of a message that does not decode. An unknown kind is named, without control
+/// characters.
+fn undecodable(error: &ciborium::de::Error<std::io::Error>) -> CodecError {
+    // The text that `serde::de::Error::unknown_variant` specifies.
+    let unknown = match error {
+        ciborium::de::Error::Semantic(_, text) => text.strip_prefix("unknown variant `"),
+        _ => None,
+    };
+    match unknown.and_then(|text| text.split_once("`, expected ")) {
+        Some((kind, _)) => CodecError::Unknown(kind.chars().take(LONGEST_KIND).flat_map(char::escape_debug).collect()),
+        None => CodecError::Malformed(error.to_string()),
+    }
+}
+
 /// Decodes a message without its length prefix. Refuses trailing bytes.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
     if bytes.len() > MAX_MESSAGE {
         return Err(CodecError::TooLong(bytes.len()));
     }
     let mut rest = bytes;
-    let message = ciborium::de::from_reader_with_recursion_limit(&mut rest, MAX_DEPTH)
-        .map_err(|error| CodecError::Malformed(error.to_string()))?;
+    let message =
+        ciborium::de::from_reader_with_recursion_limit(&mut rest, MAX_DEPTH).map_err(|error| undecodable(&error))?;
     if !rest.is_empty() {
         return Err(CodecError::Malformed(format!("{} bytes behind the message", rest.len())));
     }

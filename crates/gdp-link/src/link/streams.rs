@@ -12,7 +12,7 @@ use tokio::time::timeout;
 use crate::link::error::LinkError;
 use crate::link::timing::REQUEST_TIMEOUT;
 use gdp_proto::control;
-use gdp_proto::control::{MAX_MESSAGE, Refusal, RefusalCode, Request, Response};
+use gdp_proto::control::{CodecError, MAX_MESSAGE, Refusal, RefusalCode, Request, Response};
 
 /// Maximum time for reading a request.
 const READ_TIMEOUT: Duration = REQUEST_TIMEOUT;
@@ -84,15 +84,15 @@ async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
                 // The receiver is dropped only with the link.
                 let _ = takers.requests.send((request, responder)).await;
             }
-            Err(error) => refuse(responder, error.to_string()).await,
+            Err(error) => refuse(responder, &error).await,
         },
-        Ok(Err(LinkError::Codec(error))) => refuse(responder, error.to_string()).await,
+        Ok(Err(LinkError::Codec(error))) => refuse(responder, &error).await,
         Ok(Err(_)) | Err(_) => {}
     }
 }
 
-async fn refuse(responder: Responder, reason: String) {
-    let _ = responder.respond(Refusal::new(RefusalCode::Malformed, reason).into()).await;
+async fn refuse(responder: Responder, error: &CodecError) {
+    let _ = responder.respond(Refusal::new(error.code(), error.to_string()).into()).await;
 }
 
 /// Writes an encoded message and ends the stream in this direction.

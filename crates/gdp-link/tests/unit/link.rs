@@ -3,6 +3,7 @@
 //! No root. `tests/tests/networks/link.rs` tests Ethernet.
 
 use gdp_wire::hop;
+use serde_json::json;
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -198,6 +199,15 @@ async fn bad_requests_are_refused_and_harm_no_others() {
         let answer = streams::read_message(&mut recv, 65536).await.unwrap();
         let Response::Refused(refusal) = control::decode(&answer).unwrap() else { panic!("accepted") };
         assert_eq!(refusal.code, RefusalCode::Malformed, "{refusal}");
+    }
+    // Kinds of requests that a later release may add.
+    for (later, kind) in [(json!({"Teleport": {"to": 7}}), "Teleport"), (json!({"Entity": {"Fly\n": {}}}), "Fly\\n")] {
+        let (mut send, mut recv) = client.0.connection.open_bi().await.unwrap();
+        send.write_all(&control::encode(&later).unwrap()).await.unwrap();
+        let answer = streams::read_message(&mut recv, 65536).await.unwrap();
+        let Response::Refused(refusal) = control::decode(&answer).unwrap() else { panic!("accepted") };
+        assert_eq!(refusal.code, RefusalCode::Unsupported, "{refusal}");
+        assert!(refusal.reason.contains(&format!("this release knows no {kind};")), "{refusal}");
     }
     // Half a request, an empty stream and an abandoned one.
     let mut open = Vec::new();
