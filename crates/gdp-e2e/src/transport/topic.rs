@@ -19,6 +19,11 @@ const SLOWEST_HEARTBEAT: u64 = 1_000 * MS;
 const BURST: u64 = MS / 4;
 const BURST_BYTES: u64 = 2 * 1500;
 
+/// A thread that had no processor sends at once what it would have sent meanwhile, of this time in
+/// nanoseconds at most. Otherwise a thread with a third of a processor would send at a third of the
+/// rate. The rate measured next would be lower still.
+const MOST_LATE: u64 = 25 * MS;
+
 /// If other topics of the uplink delay a topic for longer, its samples say nothing about the path.
 const HELD_UP: u64 = 20 * MS;
 
@@ -71,6 +76,10 @@ pub struct TopicState {
     pauses: u64,
     paused: bool,
     pace: Meter,
+    /// The time at which the pace allows the next frame, if the topic waits for nothing else.
+    paced_until: Option<u64>,
+    /// Nanoseconds by which the sending thread came late for it, until they are made up for.
+    late: u64,
     /// Bytes to send without pacing after a pause.
     at_once: u64,
     /// Rate of first transmissions.
@@ -121,6 +130,8 @@ impl TopicState {
             pauses: 0,
             paused: true,
             pace: Meter::new(now),
+            paced_until: None,
+            late: 0,
             at_once: 0,
             fresh: Speed::new(now),
             leader: None,
@@ -200,14 +211,19 @@ impl TopicState {
             if !self.paused {
                 (self.paused, self.pauses) = (true, self.pauses + 1);
             }
+            (self.paced_until, self.late) = (None, 0);
             return TopicTurn { may_send: false, at: timers };
         }
         let Some(rate) = self.find_rate(now) else {
+            (self.paced_until, self.late) = (None, 0);
             return TopicTurn { may_send: false, at: timers.min(self.overdue_at()) };
         };
         let at_once = if self.paused { self.at_once_after_pause(now) } else { self.at_once };
         let paced = if at_once > 0 { now } else { self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate))) };
         let may_send = paced <= now;
+        if !may_send {
+            (self.paced_until, self.late) = (Some(paced), 0);
+        }
         TopicTurn { may_send, at: if may_send { timers } else { timers.min(paced) } }
     }
 
@@ -220,6 +236,9 @@ impl TopicState {
         if bytes > room {
             return None;
         }
+        if let Some(until) = self.paced_until.take() {
+            self.late = now.saturating_sub(until).min(MOST_LATE);
+        }
         if waited > HELD_UP {
             self.pauses += 1;
         }
@@ -230,7 +249,7 @@ impl TopicState {
         self.sent += bytes as u64;
         self.large_unheard |= bytes > LEAST_PAYLOAD;
         self.paused = false;
-        self.pace.take(now, (bytes as u64).saturating_sub(self.at_once), rate);
+        self.pace.take(now, (bytes as u64).saturating_sub(self.at_once), rate, self.late);
         self.at_once = self.at_once.saturating_sub(bytes as u64);
         if !chosen.repair {
             self.fresh.add(now, bytes as u64);

@@ -229,8 +229,8 @@ fn run_on_busy_hosts(app: App, writer: Option<Away>, reader: Option<Away>) -> (u
 /// Half of the processors' time belongs to others, in slices of the scheduler.
 #[test]
 fn hosts_without_a_processor_at_times_lose_nothing_and_are_as_fast() {
-    let half = Away { period: 20 * MS, away: 10 * MS };
-    let other = Away { period: 20 * MS, away: 9 * MS };
+    let half = Away { period: 20 * MS, away: 10 * MS, ..Away::default() };
+    let other = Away { period: 20 * MS, away: 9 * MS, ..Away::default() };
     for (writer, reader) in [(None, Some(half)), (Some(half), None), (Some(half), Some(other))] {
         let app = App::new(1_000_000, 30, 10 * SECOND);
         let (delivered, latencies, repeated) = run_on_busy_hosts(app, writer, reader);
@@ -250,11 +250,29 @@ fn hosts_without_a_processor_at_times_lose_nothing_and_are_as_fast() {
 #[test]
 fn hosts_that_wait_long_for_a_processor_repeat_nothing() {
     for (writer, reader) in [(40, 25), (30, 60), (15, 35)] {
-        let writer = Away { period: 2 * writer * MS, away: writer * MS };
-        let reader = Away { period: 2 * reader * MS, away: reader * MS };
+        let writer = Away { period: 2 * writer * MS, away: writer * MS, ..Away::default() };
+        let reader = Away { period: 2 * reader * MS, away: reader * MS, ..Away::default() };
         let app = App::new(1_000_000, 10, 10 * SECOND);
         let (delivered, _, repeated) = run_on_busy_hosts(app, Some(writer), Some(reader));
         assert_eq!((delivered, repeated), (100, 0), "{writer:?} {reader:?}");
+    }
+}
+
+/// Four busy loops on two processors leave each thread a third of one. Two that take turns see no
+/// short round trip, and the pace must make up for the time away.
+#[test]
+fn hosts_with_a_third_of_a_processor_carry_large_messages() {
+    for period in [18, 24, 36] {
+        let away = period * MS * 2 / 3;
+        let writer = Away { period: period * MS, away, since: 0 };
+        for since in [away / 2, away] {
+            let reader = Away { since, ..writer };
+            let app = App::new(6_000_000, 5, 10 * SECOND);
+            let (delivered, latencies, repeated) = run_on_busy_hosts(app, Some(writer), Some(reader));
+            assert_eq!((delivered, repeated), (50, 0), "{writer:?} {reader:?}");
+            let worst = percentile(&latencies, 100);
+            assert!(worst < 300 * MS, "{writer:?} {reader:?}: {} ms", worst / MS);
+        }
     }
 }
 

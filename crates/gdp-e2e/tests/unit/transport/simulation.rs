@@ -35,18 +35,20 @@ pub struct Simulation {
     events: u64,
 }
 
-/// A node whose processor belongs to others for `away` of every `period`.
-#[derive(Clone, Copy, Debug)]
+/// A node whose processor belongs to others for `away` of every `period`, the first of which began
+/// `since` before the start.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Away {
     pub period: u64,
     pub away: u64,
+    pub since: u64,
 }
 
 impl Away {
     /// Returns when a node that wants to run at `at` does.
     fn runs_at(self, at: u64) -> u64 {
-        let phase = at % self.period;
-        if phase < self.away { at - phase + self.away } else { at }
+        let phase = (at + self.since) % self.period;
+        if phase < self.away { at + self.away - phase } else { at }
     }
 }
 
