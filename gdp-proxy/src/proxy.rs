@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use gdp::{LinkConfig, Node, NodeConfig};
+use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use gdp_util::ticks::Ticks;
@@ -39,6 +40,7 @@ pub async fn run(
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
 ) -> Result<()> {
+    tracing::info!(crypto = %Backend::selected(), "cryptography of messages");
     // The relay starts first and ends last: others need it whether or not this proxy reaches a
     // switch itself.
     let relay = match loaded.material.relay.take() {

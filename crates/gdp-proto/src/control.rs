@@ -291,7 +291,7 @@ pub enum CodecError {
     #[error("not a control message this version understands: {0}")]
     Malformed(String),
     /// A request, or a part of a message, of a kind that a later release may have added.
-    #[error("this release knows no {0}; run a newer one here, or the older one there")]
+    #[error("{0} is of a later release than the node that received it; run the later one at both ends")]
     Unknown(String),
 }
 

@@ -81,7 +81,8 @@ pub struct Config {
     #[serde(default, deserialize_with = "relay::relay")]
     #[schemars(schema_with = "relay::schema")]
     pub relay: Option<RelayConfig>,
-    /// The back end of cryptography, if it is not the default one: `aws-lc` or `rustcrypto`.
+    /// What seals and signs messages and verifies signatures, if it is not the default:
+    /// `aws-lc` or `rustcrypto`. Everything else is RustCrypto's in any case.
     #[serde(default)]
     #[schemars(schema_with = "schema::crypto")]
     pub crypto: Option<Backend>,
@@ -236,7 +237,7 @@ impl Config {
             ("links", self.links != new.links),
             ("state", self.state != new.state),
             ("domain", self.domain != new.domain),
-            ("crypto", self.crypto != new.crypto),
+            ("crypto", new.crypto.is_some_and(|new| new != Backend::selected())),
             ("relay", self.relay != new.relay),
             ("definitions", self.definitions != new.definitions),
         ];

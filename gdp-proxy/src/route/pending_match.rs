@@ -1,8 +1,9 @@
 //! Queues the first messages of a new writer until subscribers have matched it. Matching takes
 //! milliseconds, or seconds on a busy machine. The publisher of a single message has left by then.
 //!
-//! The queue is then released in portions. All at once would be more than a subscriber's history
-//! holds, which keeps the newest messages only.
+//! The queue is then released in portions, within 100 ms. A few messages at once would already be
+//! more than a subscriber's history holds, which keeps the newest only. How deep that history is,
+//! discovery does not say.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

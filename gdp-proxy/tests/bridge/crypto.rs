@@ -37,6 +37,9 @@ async fn proxies_with_different_back_ends_of_cryptography_exchange_messages() {
         }
     }
 
+    for (label, crypto) in [("robot", "crypto=rustcrypto"), ("cloud", "crypto=aws-lc")] {
+        assert!(site.log(label).contains(crypto), "{}", site.log(label));
+    }
     // A running proxy keeps its back end, and says so.
     let config = format!("crypto: aws-lc\n{out}{received}");
     site.configure("robot", &domain(ids[0]), &config);

@@ -69,8 +69,8 @@ struct KnownReader {
     from: u64,
     /// The last challenge that was answered.
     greeted: Option<[u8; 16]>,
-    /// Whether the reader was detached and may have restarted meanwhile.
-    has_returned: bool,
+    /// The session of its feedback with the last Hello. It has another one after a restart.
+    pair_session: Option<[u8; 8]>,
     /// The time since when the reader is detached.
     absent: Option<u64>,
     wants: Wants,
@@ -170,8 +170,8 @@ impl Publication {
         self.history > 0
     }
 
-    /// Answers a reader's Hello with the session.
-    pub fn welcome(&self, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
+    /// Answers a reader's Hello with the session. `pair_session` is that of the reader's feedback.
+    pub fn welcome(&self, reader: &Name, pair_session: [u8; 8], challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
         let readers = &mut *self.readers.lock();
         let entry = readers.known.get_mut(reader)?;
         entry.wants = wants;
@@ -183,11 +183,12 @@ impl Publication {
         if entry.greeted != Some(challenge) {
             readers.lacks_latched = true;
             // A reader that asks again has lost its state or doubts it. It starts with the next
-            // message, or with the first one after its return.
+            // message.
             if entry.greeted.replace(challenge).is_some() {
                 entry.from = self.admit(*reader)?;
-            } else if std::mem::take(&mut entry.has_returned) {
-                self.scheduler.uplink().join_from(self.scheduler.clock.now(), self.topic(), *reader, entry.from);
+            }
+            if entry.pair_session.replace(pair_session).is_some_and(|before| before != pair_session) {
+                self.scheduler.uplink().restart(self.scheduler.clock.now(), self.topic(), reader, entry.from);
             }
         }
         let (name, session, sequence) = (self.name, self.sealer.session, entry.from);
@@ -199,8 +200,8 @@ impl Publication {
     pub fn returned(&self, reader: &Name) {
         let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
-        if let Some(from) = self.scheduler.uplink().next_sequence(self.topic()) {
-            (entry.from, entry.greeted, entry.has_returned) = (from, None, true);
+        if let Some(from) = self.admit(*reader) {
+            (entry.from, entry.greeted) = (from, None);
         }
     }
 
@@ -249,7 +250,7 @@ impl Publication {
         let from = self.admit(entity).unwrap_or(1);
         readers.known.insert(
             entity,
-            KnownReader { right, from, greeted: None, has_returned: false, absent: None, wants: Wants::Newest },
+            KnownReader { right, from, greeted: None, pair_session: None, absent: None, wants: Wants::Newest },
         );
     }
 

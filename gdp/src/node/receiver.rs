@@ -21,7 +21,7 @@ use super::send_path::SendPath;
 use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
 use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
-use gdp_e2e::keys::PairError;
+use gdp_e2e::keys::{PairError, PairOpener};
 use gdp_e2e::seal::{DropReason, SEGMENT_VERSION};
 use gdp_link::port::{DataSocket, InFrame, RecvBatch, WakeFd};
 
@@ -309,16 +309,17 @@ impl Subscriptions {
             Some(Err(_)) => return counters.feedback_malformed.add(1),
         };
         counters.feedback_received.add(1);
-        feedback.iter().for_each(|feedback| self.apply(source, feedback));
+        let session = PairOpener::session(payload).unwrap_or_default();
+        feedback.iter().for_each(|feedback| self.apply(source, session, feedback));
     }
 
-    /// Processes one message of feedback.
-    fn apply(&mut self, source: Name, feedback: &Feedback) {
+    /// Processes one message of feedback, of this session of the pair.
+    fn apply(&mut self, source: Name, session: [u8; 8], feedback: &Feedback) {
         let (name, now) = (feedback.name(), self.send_path.clock.now());
         match feedback {
             Feedback::Hello { challenge, wants, .. } => {
                 let publication = self.send_path.publications.get(&name);
-                let welcome = publication.and_then(|it| it.welcome(&source, *challenge, *wants));
+                let welcome = publication.and_then(|it| it.welcome(&source, session, *challenge, *wants));
                 if let Some(welcome) = welcome {
                     self.outgoing.push(&source, welcome);
                     self.send_path.upkeep.notify_one();

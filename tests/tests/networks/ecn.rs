@@ -207,6 +207,7 @@ impl Site {
             domain: None,
             public: Vec::new(),
             etcd: None,
+            crypto: None,
             rekey: Default::default(),
         })
     }

@@ -92,6 +92,7 @@ impl Scene {
                 domain: None,
                 public: Vec::new(),
                 etcd: None,
+                crypto: None,
                 rekey: OFTEN,
             };
             let inside = Inside::new(&chain.switches()[i], ROOT)?;

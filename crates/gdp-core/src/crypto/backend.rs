@@ -1,5 +1,6 @@
-//! The implementation of what the endpoints compute for each message.
+//! The implementation of AES-256-GCM and ECDSA for messages, and of all verification.
 
+use std::fmt;
 use std::sync::OnceLock;
 
 use serde::Deserialize;
@@ -25,10 +26,21 @@ pub enum Backend {
 
 /// The process has used another back end already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("crypto: {wanted:?} cannot be selected any more, because {used:?} is in use")]
+#[error("crypto: {wanted} cannot be selected, because {used} is in use already; start the program anew")]
 pub struct BackendError {
     pub wanted: Backend,
     pub used: Backend,
+}
+
+impl fmt::Display for Backend {
+    /// Writes the word of the configuration.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            #[cfg(feature = "aws-lc")]
+            Self::AwsLc => "aws-lc",
+            Self::RustCrypto => "rustcrypto",
+        })
+    }
 }
 
 /// The selected back end of this process.

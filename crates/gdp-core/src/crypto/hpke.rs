@@ -6,12 +6,12 @@ use ::hpke::aead::AesGcm256;
 use ::hpke::kdf::HkdfSha256;
 use ::hpke::kem::{DhP256HkdfSha256, Kem};
 use ::hpke::{Deserializable, OpModeR, OpModeS, Serializable, single_shot_open, single_shot_seal};
-use p256::PublicKey;
 use p256::elliptic_curve::sec1::ToSec1Point;
 use zeroize::Zeroizing;
 
 use crate::crypto::error::CryptoError;
 use crate::crypto::lengths::{PUBLIC_KEY_LEN, TAG_LEN};
+use crate::crypto::rust_crypto::public_key;
 
 /// Bytes of an encapsulated key: a SEC1 uncompressed point (RFC 9180 §7.1.1).
 const ENCAPSULATED_LEN: usize = 65;
@@ -23,7 +23,7 @@ type PrivateKey = <DhP256HkdfSha256 as Kem>::PrivateKey;
 type HpkePublicKey = <DhP256HkdfSha256 as Kem>::PublicKey;
 
 pub fn seal(public: &[u8; PUBLIC_KEY_LEN], info: &[u8], plaintext: &[u8]) -> Result<Vec<u8>, CryptoError> {
-    let point = PublicKey::from_sec1_bytes(public).map_err(|_| CryptoError::BadPublicKey)?.to_sec1_point(false);
+    let point = public_key(public)?.to_sec1_point(false);
     let public = HpkePublicKey::from_bytes(point.as_bytes()).map_err(|_| CryptoError::BadPublicKey)?;
     let sealed =
         single_shot_seal::<AesGcm256, HkdfSha256, DhP256HkdfSha256>(&OpModeS::Base, &public, info, plaintext, &[]);

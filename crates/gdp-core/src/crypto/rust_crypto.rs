@@ -41,11 +41,18 @@ pub fn agreement_public(secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], Crypt
 
 /// Performs ECDH on P-256 and returns the shared x coordinate. Pass it through [`hkdf_sha256`].
 pub fn agree(secret: &[u8; 32], public: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
-    let public = PublicKey::from_sec1_bytes(public).map_err(|_| CryptoError::BadPublicKey)?;
+    let public = public_key(public)?;
     let shared = ecdh::diffie_hellman(private_key(secret)?.to_nonzero_scalar(), public.as_affine());
     let mut out = Zeroizing::new([0u8; 32]);
     out.copy_from_slice(shared.raw_secret_bytes());
     Ok(out)
+}
+
+/// Parses a public key, SEC1 compressed. Other forms of 33 bytes would give a key two encodings.
+pub fn public_key(public: &[u8; PUBLIC_KEY_LEN]) -> Result<PublicKey, CryptoError> {
+    let is_compressed = matches!(public[0], 2 | 3);
+    let parsed = PublicKey::from_sec1_bytes(public).ok().filter(|_| is_compressed);
+    parsed.ok_or(CryptoError::BadPublicKey)
 }
 
 fn private_key(secret: &[u8; 32]) -> Result<SecretKey, CryptoError> {
@@ -81,7 +88,7 @@ pub struct Verifier(VerifyingKey);
 
 impl Verifier {
     pub fn new(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Self, CryptoError> {
-        VerifyingKey::from_sec1_bytes(public).map(Self).map_err(|_| CryptoError::BadPublicKey)
+        Ok(Self(public_key(public)?.into()))
     }
 
     pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {

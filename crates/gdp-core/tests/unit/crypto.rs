@@ -126,11 +126,15 @@ fn what_is_no_key_is_refused_by_both() {
     off_curve[0] = 2;
     let mut wrong_prefix = SigningKey::generate().unwrap().public();
     wrong_prefix[0] = 4;
-    for bytes in [[0u8; PUBLIC_KEY_LEN], off_curve, wrong_prefix] {
+    // SEC1's compact form, which has no sign.
+    let mut compact = wrong_prefix;
+    compact[0] = 5;
+    for bytes in [[0u8; PUBLIC_KEY_LEN], off_curve, wrong_prefix, compact] {
         for backend in Backend::ALL {
             assert_eq!(backend.verifier(&bytes).err(), Some(CryptoError::BadPublicKey), "{backend:?}");
         }
         assert_eq!(agree(&[1; 32], &bytes).err(), Some(CryptoError::BadPublicKey));
+        assert_eq!(hpke_seal(&bytes, b"", b"").err(), Some(CryptoError::BadPublicKey));
     }
     for secret in [[0; 32], [0xff; 32]] {
         assert_eq!(agreement_public(&secret).err(), Some(CryptoError::BadPrivateKey));

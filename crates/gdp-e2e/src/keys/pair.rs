@@ -157,6 +157,12 @@ struct PairSession {
 }
 
 impl PairOpener {
+    /// Returns the sender's session of a payload, which [`Self::open`] authenticates. A sender has
+    /// another one after a restart.
+    pub fn session(payload: &[u8]) -> Option<[u8; 8]> {
+        PairHeader::from_bytes(payload.first_chunk()?).ok().map(|header| header.session)
+    }
+
     /// Returns the messages in the payload of a frame from the peer.
     pub fn open(&mut self, payload: &[u8]) -> Result<Vec<Feedback>, PairError> {
         if !(HEADER_LEN + TAG_LEN..=MAX_PAIR_PAYLOAD).contains(&payload.len()) {

@@ -19,9 +19,9 @@ use gdp_core::name::Name;
 /// Maximum number of readers of a name that one writer wraps keys for.
 pub const MAX_READERS: usize = 1024;
 
-/// Maximum number of boxes in one batch. They fit one request of a link, and take some 10 ms to
-/// make.
-const MAX_BOXES: usize = 64;
+/// Maximum number of boxes in one batch. They take some 10 ms to make, in which the writer seals
+/// nothing.
+const MAX_BOXES: usize = 16;
 
 /// Maximum time that an epoch waits for its boxes to be stored before it is used.
 const HANDOVER: Duration = Duration::from_secs(2);

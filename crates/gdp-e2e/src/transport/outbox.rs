@@ -278,7 +278,10 @@ impl Outbox {
     /// Marks waiting messages before this sequence as sent, because no reader wants them.
     pub fn skip_before(&mut self, sequence: u64) {
         let unwanted = self.entries.partition_point(|entry| entry.message.last() < sequence);
-        self.entries.iter_mut().take(unwanted).for_each(|entry| entry.sent = entry.message.frames());
+        for entry in self.entries.iter_mut().take(unwanted) {
+            entry.sent = entry.message.frames();
+            entry.repeated.iter_mut().for_each(|repeated| repeated.queued = false);
+        }
         self.repairs.retain(|(first, _)| *first >= sequence);
         self.cursor = self.cursor.max(unwanted);
     }

@@ -227,13 +227,21 @@ impl Peers {
         self.0.len()
     }
 
-    /// Adds a reader, or replaces the state of one that has restarted. Returns false if there are
-    /// too many.
+    /// Adds a reader, unless it is there already. Returns false if there are too many.
     pub fn join(&mut self, reader: Name, peer: ReaderState) -> bool {
         if self.0.len() >= MOST_PEERS && !self.0.contains_key(&reader) {
             return false;
         }
-        self.0.insert(reader, peer);
+        self.0.entry(reader).or_insert(peer);
+        true
+    }
+
+    /// Replaces the state of a reader that has restarted. What limits it remains, so that restarts
+    /// do not evade it. Returns false if there is no such reader.
+    pub fn restart(&mut self, reader: &Name, peer: ReaderState) -> bool {
+        let Some(known) = self.0.get_mut(reader) else { return false };
+        let ReaderState { repairs, lags, lagging_until, .. } = *known;
+        *known = ReaderState { repairs, lags, lagging_until, ..peer };
         true
     }
 

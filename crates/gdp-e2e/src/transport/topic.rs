@@ -15,7 +15,7 @@ use crate::feedback_wire::{Feedback, MAX_MISSING, Missing};
 const FIRST_HEARTBEAT: u64 = 100 * MS;
 const SLOWEST_HEARTBEAT: u64 = 1_000 * MS;
 
-/// Burst that compensates for late timers and threads.
+/// Burst that compensates for late timers. [`MOST_LATE`] is for threads.
 const BURST: u64 = MS / 4;
 const BURST_BYTES: u64 = 2 * 1500;
 
@@ -182,16 +182,24 @@ impl TopicState {
         (self.outbox.unsent(), self.peers.lacking(self.outbox.last()).collect())
     }
 
-    /// Adds a reader that gets the messages from sequence `from` on. It replaces a reader of this
-    /// name, which has restarted.
-    pub fn join(&mut self, now: u64, reader: Name, from: u64) -> bool {
-        let joined = self.peers.join(reader, ReaderState::new(now, from - 1, self.sent));
+    pub fn join(&mut self, now: u64, reader: Name) -> bool {
+        let known = self.outbox.last();
+        self.peers.join(reader, ReaderState::new(now, known, self.sent))
+    }
+
+    /// Starts the state of a restarted reader anew, which gets the messages from sequence `from`
+    /// (at least 1) on. Returns true if this makes room for a waiting publisher.
+    pub fn restart(&mut self, now: u64, reader: &Name, from: u64) -> bool {
+        if !self.peers.restart(reader, ReaderState::new(now, from.saturating_sub(1), self.sent)) {
+            return false;
+        }
         self.leader = None;
-        if joined && self.peers.len() == 1 {
+        if self.peers.len() == 1 {
             // Nobody else wants what waited for the reader of before.
             self.outbox.skip_before(from);
         }
-        joined
+        self.wait(now);
+        self.take_room()
     }
 
     /// Removes a reader. Returns true if this makes room for a waiting publisher.
@@ -211,11 +219,11 @@ impl TopicState {
             if !self.paused {
                 (self.paused, self.pauses) = (true, self.pauses + 1);
             }
-            (self.paced_until, self.late) = (None, 0);
+            self.forget_lateness();
             return TopicTurn { may_send: false, at: timers };
         }
         let Some(rate) = self.find_rate(now) else {
-            (self.paced_until, self.late) = (None, 0);
+            self.forget_lateness();
             return TopicTurn { may_send: false, at: timers.min(self.overdue_at()) };
         };
         let at_once = if self.paused { self.at_once_after_pause(now) } else { self.at_once };
@@ -266,6 +274,11 @@ impl TopicState {
             self.look_at = now + SILENCE_STEP;
         }
         Some(chosen)
+    }
+
+    /// Gives up the credit of a late thread. The topic may have waited for something else.
+    pub fn forget_lateness(&mut self) {
+        (self.paced_until, self.late) = (None, 0);
     }
 
     /// Processes timers that are due. Must be called at the time in [`TopicTurn`].

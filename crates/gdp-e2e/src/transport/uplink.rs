@@ -202,25 +202,25 @@ impl Uplink {
         self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
-    /// Returns the sequence of the topic's next message, or `None` if the topic is closed.
-    pub fn next_sequence(&mut self, topic: TopicId) -> Option<u64> {
-        Some(self.topic(topic)?.outbox.last() + 1)
-    }
-
     /// Adds an authorised reader, which gets all messages pushed from now on. Returns the first
     /// sequence for this reader. Returns `None` if the topic is closed, or has too many readers to
     /// track this one.
     pub fn join(&mut self, now: u64, topic: TopicId, reader: Name) -> Option<u64> {
-        let next = self.next_sequence(topic)?;
-        self.join_from(now, topic, reader, next).then_some(next)
+        let state = self.topic(topic)?;
+        let next = state.outbox.last() + 1;
+        let joined = state.join(now, reader);
+        self.settle(now, topic);
+        joined.then_some(next)
     }
 
-    /// Adds an authorised reader as [`Self::join`] does, from a sequence of before on. A reader of
-    /// this name has restarted, and its state begins anew.
-    pub fn join_from(&mut self, now: u64, topic: TopicId, reader: Name, from: u64) -> bool {
-        let joined = self.topic(topic).is_some_and(|state| state.join(now, reader, from));
+    /// Starts the state of a reader anew that has restarted. It gets the messages from sequence
+    /// `from` (at least 1) on. Does nothing if the reader did not join.
+    pub fn restart(&mut self, now: u64, topic: TopicId, reader: &Name, from: u64) {
+        let Some(state) = self.topic(topic) else { return };
+        if state.restart(now, reader, from) {
+            self.outputs.push_back(Output::Room { topic });
+        }
         self.settle(now, topic);
-        joined
     }
 
     /// Removes a reader that has left or is no longer authorised.
@@ -384,10 +384,13 @@ impl Uplink {
     /// Returns a frame of the next topic, filled with further payloads of the topic.
     fn next_of(&mut self, now: u64, class: usize) -> Option<Transmit> {
         let (topic, since) = self.ready[class].pop_front()?;
-        let max_payload = self.options.max_payload;
+        let UplinkOptions { max_payload, budget } = self.options;
         let slot = self.slot(topic)?;
         slot.is_ready = false;
         let state = slot.topic.as_mut()?;
+        if budget.is_some() {
+            state.forget_lateness();
+        }
         let (name, doubled) = (state.name, state.options.doubled);
         let max_payload = state.max_payload(now, max_payload);
         let transmit = state.take(now, max_payload, max_payload, now - since).map(|first| {

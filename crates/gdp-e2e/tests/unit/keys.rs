@@ -255,7 +255,7 @@ fn readers_beyond_the_bounds_or_without_a_key_are_named() {
         boxes += handed.boxes.len();
         calls += 1;
     }
-    assert_eq!((boxes, calls), (MAX_READERS, MAX_READERS / 64));
+    assert_eq!((boxes, calls), (MAX_READERS, MAX_READERS / 16));
 }
 
 #[test]

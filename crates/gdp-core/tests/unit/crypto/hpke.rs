@@ -3,6 +3,7 @@
 use super::*;
 use crate::crypto::{Backend, NONCE_LEN, agree, agreement_public};
 use ::hpke::aead::AesGcm128;
+use p256::PublicKey;
 
 const SECRET: &str = "f3ce7fdae57e1a310d87f1ebbde6f328be0a99cdbcadf4d6589cf29de4b8ffd2";
 const ENCAPSULATED: &str = "04a92719c6195d5085104f469a8b9814d5838ff72b60501e2c4466e5e67b325ac9\

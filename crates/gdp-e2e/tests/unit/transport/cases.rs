@@ -474,9 +474,29 @@ fn a_reader_that_has_restarted_gets_the_next_large_message_at_once() {
     sim.topics[topic].readers.remove(&readers[0]);
     sim.run(15 * SECOND);
     sim.subscribe(readers[0], topic, 10 * MS, InboundOptions::every());
+    sim.restart_reader(readers[0], topic);
     sim.run(16 * SECOND);
     let (_, first) = *sim.topics[topic].readers[&readers[0]].delivered.first().expect("an image within a second");
     assert!(first < 15 * SECOND + 300 * MS, "{} ms", (first - 15 * SECOND) / MS);
+}
+
+/// Readers also greet when a right was renewed, or when somebody makes them doubt.
+#[test]
+fn a_live_reader_that_joins_again_misses_nothing() {
+    let there = Faults { loss: 0.01, rate: Some(10 * MBIT), queue: Some(200_000), ..Faults::delay(10 * MS) };
+    let (mut sim, writer, readers) = Simulation::star(22, there, 1);
+    let options = TopicOptions { history: History { messages: 10, bytes: 64 << 20 }, ..TopicOptions::reliable() };
+    // Twice what the path takes, so that the publisher waits.
+    let topic = sim.publish(writer, options, App::new(50_000, 50, 10 * SECOND));
+    sim.subscribe(readers[0], topic, 20 * MS, InboundOptions::every());
+    while sim.now() < 10 * SECOND {
+        sim.run(sim.now() + 150 * MS);
+        let (id, now) = (sim.topics[topic].id, sim.now());
+        sim.uplink(writer, None).join(now, id, name_of(readers[0])).unwrap();
+    }
+    sim.run(15 * SECOND);
+    let reading = &sim.topics[topic].readers[&readers[0]];
+    assert_eq!((reading.delivered.len(), reading.counters().abandoned), (sim.topics[topic].pushed.len() - 1, 0));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The measurement of bytes per second.
+//! The token bucket, and the measurement of bytes per second.
 
 use super::*;
 
@@ -11,4 +11,15 @@ fn an_earlier_time_after_a_later_one_counts_as_the_later_one() {
     speed.add(11 * SECOND, 1000);
     assert_eq!(speed.get(9 * SECOND), 4000, "2000 bytes in half a second");
     assert_eq!(speed.get(12 * SECOND), 4000);
+}
+
+/// At a kilobyte a millisecond.
+#[test]
+fn credit_is_kept_for_the_time_that_the_sender_was_late() {
+    let ms = SECOND / 1000;
+    for (late, ready) in [(0, 101), (25 * ms, 76), (1000 * ms, 11)] {
+        let mut meter = Meter::new(10 * ms);
+        meter.take(100 * ms, 1000, 1_000_000, late);
+        assert_eq!(meter.ready_at(0), ready * ms);
+    }
 }

@@ -261,6 +261,13 @@ impl Simulation {
         topic_sim.left.extend(before);
     }
 
+    /// Tells the writer that the reader has restarted, since it subscribed last.
+    pub fn restart_reader(&mut self, reader: usize, topic: usize) {
+        let (now, TopicSim { writer, id, readers, .. }) = (self.net.now(), &self.topics[topic]);
+        let (writer, id, from) = (*writer, *id, readers[&reader].from);
+        self.uplink(writer, None).restart(now, id, &name_of(reader), from);
+    }
+
     pub fn unsubscribe(&mut self, reader: usize, topic: usize) {
         let now = self.net.now();
         let (writer, id) = (self.topics[topic].writer, self.topics[topic].id);
