@@ -51,6 +51,10 @@ use nodes::Nodes;
 use crate::peer_proxies::{self, PeerProxies};
 use presence::Presence;
 
+/// Messages about nodes, of all participants together, that wait to be read. DDS keeps as many
+/// after they were read.
+const WAITING_NODES: u32 = 256;
+
 /// The proxy's participant in a DDS domain, until it [leaves](Domain::leave).
 pub struct Domain {
     participant: DomainParticipant,
@@ -124,7 +128,8 @@ impl Domain {
         let (topic, kind) = (TopicName::parse("/ros_discovery_info")?, TypeName::parse(nodes::TYPE)?);
         let latched = Offer { transient_local: true, depth: 1, ..Qos::default().into() };
         let writer = self.raw_writer(&topic, nodes::TOPIC, &kind, &[], &latched)?;
-        let reader = self.raw_reader(&topic, nodes::TOPIC, &kind, &[], &Offer { depth: 0, ..latched })?;
+        let all = Offer { depth: WAITING_NODES, ..latched };
+        let reader = self.raw_reader(&topic, nodes::TOPIC, &kind, &[], &all)?;
         self.tasks.push(tokio::spawn(announcer::run(self.nodes.clone(), writer, reader)));
         Ok(())
     }

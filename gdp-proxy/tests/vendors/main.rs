@@ -4,20 +4,20 @@
 //!
 //! Every test has a DDS domain of its own.
 
-mod newcomers;
+mod messages;
 #[allow(dead_code, reason = "the tests of graphs of rmw_zenoh use the rest")]
 mod peer;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use bytes::Bytes;
 use gdp_proxy::ros2::{
     Domain, Graph, Mapping, Qos, RawReader, RawSample, RawWriter, Reliability, Server, ServiceInfo, TopicName, TypeName,
 };
 
 use gdp_ros::roster::Offer;
 use gdp_tests::dds_domain::lease;
+use messages::{cdr, message, string, topic, write};
 use peer::{Peer, Vendor, within};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -334,19 +334,6 @@ async fn warm_up(writer: &mut RawWriter, listener: &mut Peer) {
     .await;
 }
 
-async fn write(writer: &mut RawWriter, sequence: i64, size: usize) {
-    let sample = message(sequence, size);
-    // The sockets of a busy machine hold the writer back.
-    within("room for a message", async { while writer.write(sample.clone(), 0).await.is_err() {} }).await;
-}
-
-/// A message as the programs write and check it (`tests/peers/README.md`).
-fn message(sequence: i64, size: usize) -> RawSample {
-    let filler = "x".repeat(size - 43);
-    let text = format!("{sequence:010} {:020} {:010} {filler}\0", 0, crc32fast::hash(filler.as_bytes()));
-    cdr(&[&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat())
-}
-
 /// The sequence number and the bytes of the string.
 async fn receive(reader: &RawReader) -> (i64, usize) {
     let sample = reader.recv().await.unwrap().sample;
@@ -363,10 +350,6 @@ fn request(a: i64, b: i64) -> RawSample {
     cdr(&[a.to_le_bytes(), b.to_le_bytes()].concat())
 }
 
-fn cdr(body: &[u8]) -> RawSample {
-    RawSample::parse(Bytes::from([&[0, 1, 0, 0], body].concat())).unwrap()
-}
-
 /// The `index`-th int64 of a body.
 fn number(sample: &RawSample, index: usize) -> i64 {
     let at = 4 + 8 * index;
@@ -379,14 +362,6 @@ fn service() -> TopicName {
 
 fn add_two_ints() -> TypeName {
     TypeName::parse("example_interfaces/srv/AddTwoInts").unwrap()
-}
-
-fn topic() -> TopicName {
-    TopicName::parse("/chatter").unwrap()
-}
-
-fn string() -> TypeName {
-    TypeName::parse("std_msgs/msg/String").unwrap()
 }
 
 impl Vendor {
