@@ -22,6 +22,8 @@ mod owner;
 mod patient;
 mod queries;
 mod ring;
+#[path = "../rows/mod.rs"]
+mod rows;
 mod scale;
 mod statements;
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -33,24 +35,16 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Parser;
-use gdp_tests::measure::{self, Row, Wanted};
+use gdp_tests::measure::{self, Row};
+
+use rows::Rows;
 
 #[derive(Parser)]
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Row to measure; repeat for several. Default: all rows
-    #[arg(long)]
-    only: Vec<String>,
-    /// Print one JSON object on stdout instead of tables
-    #[arg(long)]
-    json: bool,
-    /// Folder for the plots
-    #[arg(long)]
-    plots: Option<PathBuf>,
-    /// Argument that cargo passes to every benchmark
-    #[arg(long = "bench", hide = true)]
-    _cargo: bool,
+    #[command(flatten)]
+    rows: Rows,
 }
 
 /// Parameters of every row.
@@ -85,8 +79,8 @@ const ROWS: [(&str, Row<Bench>); 5] = [
 ];
 
 fn main() -> Result<()> {
-    let Options { bench, only, json, plots, .. } = Options::parse();
+    let Options { bench, rows } = Options::parse();
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
-    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
+    measure::run(&bench, &ROWS, &rows.wanted())
 }

@@ -4,6 +4,11 @@
 //!   with AWS-LC here, so that the choice can be judged.
 //! - `messages`: all of a message, from sealing to verifying.
 
+#[path = "../rows/mod.rs"]
+mod rows;
+#[path = "../sealing/mod.rs"]
+mod sealing;
+
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -12,27 +17,22 @@ use aws_lc_rs::agreement::{self, ECDH_P256, PrivateKey};
 use aws_lc_rs::{digest, hkdf};
 use clap::Parser;
 use gdp_core::crypto::{self, Backend, CryptoError, TAG_LEN};
-use gdp_core::identity::{Identity, SigningKey};
-use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
+use gdp_core::identity::SigningKey;
+use gdp_e2e::seal::{Draft, Encoding, Reader, Received, Segments, Timestamps, Writer};
 use gdp_tests::measure::figure::{Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
-use gdp_tests::measure::{self, Row, Wanted, cpu};
+use gdp_tests::measure::{self, Row, cpu};
 use gdp_wire::Name;
+
+use rows::Rows;
+use sealing::{PAYLOAD, pair};
 
 #[derive(Parser)]
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Row to measure; repeat for several. Default: all rows
-    #[arg(long)]
-    only: Vec<String>,
-    /// Print one JSON object on stdout instead of tables
-    #[arg(long)]
-    json: bool,
-    /// Argument that cargo passes to every benchmark
-    #[arg(long = "bench", hide = true)]
-    _cargo: bool,
+    #[command(flatten)]
+    rows: Rows,
 }
 
 #[derive(clap::Args)]
@@ -55,14 +55,9 @@ const SIZES: [(usize, &str); 3] = [(64, "64 B"), (1344, "1344 B"), (1 << 20, "1 
 
 const MESSAGES: [(usize, &str); 3] = [(64, "64 B"), (8 << 10, "8 KiB"), (1 << 20, "1 MiB")];
 
-/// Payload bytes of a frame on a link of 1500 B.
-const PAYLOAD: usize = 1400;
-
-const EPOCH: u32 = 1;
-
 fn main() -> Result<()> {
-    let Options { bench, only, json, .. } = Options::parse();
-    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: None })
+    let Options { bench, rows } = Options::parse();
+    measure::run(&bench, &ROWS, &rows.wanted())
 }
 
 /// Returns the time of one operation in nanoseconds.
@@ -175,15 +170,7 @@ struct Pair {
 
 impl Pair {
     fn new(backend: Backend) -> Result<Self> {
-        let (name, identity, key) = (Name::from_bytes([7; 32]), Identity::generate("proxy")?, EpochKey::generate()?);
-        let from = identity.name();
-        let mut writer = Writer::new(name, from, identity.key().clone(), backend)?;
-        writer.set_epoch(EPOCH, &key)?;
-        let mut reader = Reader::new(name, backend, ReaderLimits::default());
-        reader.authorise(from, identity.key().verify_key())?;
-        let vouched =
-            reader.set_key(&from, EPOCH, key).and_then(|()| reader.confirm_session(&from, writer.session(), 1));
-        ensure!(vouched.is_ok(), "{vouched:?}");
+        let (writer, reader, from) = pair(backend)?;
         let (segments, received) = (Segments::new(), Received::default());
         Ok(Self { writer, reader, from, began: Instant::now(), segments, received })
     }

@@ -32,6 +32,8 @@ mod lookups;
 mod path;
 mod replication;
 mod rings;
+#[path = "../rows/mod.rs"]
+mod rows;
 mod senders;
 mod series;
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -48,24 +50,16 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use clap::Parser;
 use gdp_dataplane::kernel::KernelPlane;
-use gdp_tests::measure::{self, Row, Wanted};
+use gdp_tests::measure::{self, Row};
+
+use rows::Rows;
 
 #[derive(Parser)]
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Row to measure; repeat for several. Default: all rows
-    #[arg(long)]
-    only: Vec<String>,
-    /// Print one JSON object on stdout instead of tables
-    #[arg(long)]
-    json: bool,
-    /// Folder for the plots
-    #[arg(long)]
-    plots: Option<PathBuf>,
-    /// Argument that cargo passes to every benchmark
-    #[arg(long = "bench", hide = true)]
-    _cargo: bool,
+    #[command(flatten)]
+    rows: Rows,
 }
 
 /// Parameters of every row.
@@ -123,9 +117,9 @@ fn count_losses(bench: &Bench) -> Result<KernelPlane> {
 }
 
 fn main() -> Result<()> {
-    let Options { bench, only, json, plots, .. } = Options::parse();
+    let Options { bench, rows } = Options::parse();
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
     let _host = count_losses(&bench)?;
-    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
+    measure::run(&bench, &ROWS, &rows.wanted())
 }

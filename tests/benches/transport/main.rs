@@ -25,7 +25,11 @@ mod lane;
 mod latency;
 mod ours;
 mod quic;
+#[path = "../rows/mod.rs"]
+mod rows;
 mod run;
+#[path = "../sealing/mod.rs"]
+mod sealing;
 mod signing;
 mod site;
 mod throughput;
@@ -37,26 +41,17 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Parser;
-use gdp_tests::measure::{self, Row, Wanted};
+use gdp_tests::measure::{self, Row};
 
+use rows::Rows;
 use run::Open;
 
 #[derive(Parser)]
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Row to measure; repeat for several. Default: all rows
-    #[arg(long)]
-    only: Vec<String>,
-    /// Print one JSON object on stdout instead of tables
-    #[arg(long)]
-    json: bool,
-    /// Folder for the plots
-    #[arg(long)]
-    plots: Option<PathBuf>,
-    /// Argument that cargo passes to every benchmark
-    #[arg(long = "bench", hide = true)]
-    _cargo: bool,
+    #[command(flatten)]
+    rows: Rows,
 }
 
 /// Parameters of every row.
@@ -98,8 +93,8 @@ const TRANSPORTS: [(&str, Open); 5] = [
 ];
 
 fn main() -> Result<()> {
-    let Options { bench, only, json, plots, .. } = Options::parse();
+    let Options { bench, rows } = Options::parse();
     gdp_tests::wait::catch_interrupts();
     gdp_tests::netns::sweep()?;
-    measure::run(&bench, &ROWS, &Wanted { only: &only, json, plots: plots.as_deref() })
+    measure::run(&bench, &ROWS, &rows.wanted())
 }

@@ -5,25 +5,19 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use gdp_core::crypto::Backend;
-use gdp_core::identity::Identity;
-use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Reader, Received, Segments, Timestamps, Writer};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::Name;
 
 use crate::Bench;
+use crate::sealing::{PAYLOAD, pair};
 
 /// The time of all signing and reading.
 const UNIX_NS: u64 = 1;
 
 const BODY: [u8; 64] = [0x5a; 64];
-
-/// Payload bytes of a frame on a link of 1500 B.
-const PAYLOAD: usize = 1400;
-
-const EPOCH: u32 = 1;
 
 /// Messages per signature.
 const BATCHES: [usize; 5] = [1, 8, 64, 256, 1024];
@@ -80,15 +74,7 @@ struct Pair {
 
 impl Pair {
     fn new(batch: usize) -> Result<Self> {
-        let (name, identity, key) = (Name::from_bytes([7; 32]), Identity::generate("proxy")?, EpochKey::generate()?);
-        let from = identity.name();
-        let mut writer = Writer::new(name, from, identity.key().clone(), Backend::selected())?;
-        writer.set_epoch(EPOCH, &key)?;
-        let mut reader = Reader::new(name, Backend::selected(), ReaderLimits::default());
-        reader.authorise(from, identity.key().verify_key())?;
-        let vouched =
-            reader.set_key(&from, EPOCH, key).and_then(|()| reader.confirm_session(&from, writer.session(), 1));
-        ensure!(vouched.is_ok(), "{vouched:?}");
+        let (writer, reader, from) = pair(Backend::selected())?;
         Ok(Self { writer, reader, from, batch, segments: Segments::new() })
     }
 

@@ -42,10 +42,16 @@ pub fn target(name: &str) -> Result<Command> {
     if !workspace::is_root() {
         bail!("network namespaces need root");
     }
-    setup::ensure(Purpose::Bench)?;
+    let mut command = unprivileged_target(name)?;
     build::ebpf()?;
+    command.arg("--ebpf-object").arg(workspace::ebpf_object());
+    Ok(command)
+}
+
+/// Returns the command of a bench target of `gdp-tests` that needs neither root nor the XDP switch.
+pub fn unprivileged_target(name: &str) -> Result<Command> {
+    setup::ensure(Purpose::Bench)?;
     let mut command = shell::cargo();
     command.args(["bench", "--profile", Profile::Dist.name(), "--workspace", "--bench", name, "--"]);
-    command.arg("--ebpf-object").arg(workspace::ebpf_object());
     Ok(command)
 }
