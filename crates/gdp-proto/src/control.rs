@@ -34,6 +34,7 @@ pub use traced::{
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
+use gdp_util::escape::Escaped;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -332,7 +333,10 @@ fn undecodable(error: &ciborium::de::Error<std::io::Error>) -> CodecError {
         _ => None,
     };
     match unknown.and_then(|text| text.split_once("`, expected ")) {
-        Some((kind, _)) => CodecError::Unknown(kind.chars().take(LONGEST_KIND).flat_map(char::escape_debug).collect()),
+        Some((kind, _)) => {
+            let kind: String = kind.chars().take(LONGEST_KIND).collect();
+            CodecError::Unknown(Escaped(kind).to_string())
+        }
         None => CodecError::Malformed(error.to_string()),
     }
 }

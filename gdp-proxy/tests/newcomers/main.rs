@@ -1,7 +1,6 @@
 //! What a newcomer finds after thousands of endpoints have come and gone, how soon, and what the
 //! participants remember of them. It is a program of its own, because it measures its memory.
 
-#[allow(dead_code, reason = "the tests of vendors, whose it is, use the rest")]
 #[path = "../vendors/messages.rs"]
 mod messages;
 #[allow(dead_code, reason = "the tests of vendors, whose it is, use the rest")]

@@ -2,8 +2,8 @@
 //!
 //! Everything is RustCrypto's: `sha2`, `hkdf`, `aes-gcm`, `p256` and `hpke`. AES-256-GCM and
 //! signatures of messages, and the verification of all signatures, also have a faster back end,
-//! AWS-LC. `cargo xtask bench crypto` compares them. The outputs of both are
-//! interchangeable, and the tests check each against the other.
+//! AWS-LC. `cargo xtask bench crypto` compares them. The outputs of both are interchangeable, and
+//! the tests check each against the other.
 //!
 //! ECDSA signatures are 64 bytes `r ‖ s`. Both back ends produce and accept only the lower of the
 //! two equivalent values of `s`, so that signed bytes have one form.

@@ -17,9 +17,13 @@ impl Meter {
         self.paid_until.saturating_sub(burst)
     }
 
-    /// Charges `bytes` sent now, at `rate` bytes a second. Unused earlier credit expires, except
-    /// that of the last `late` nanoseconds.
-    pub fn take(&mut self, now: u64, bytes: u64, rate: u64, late: u64) {
+    /// Charges `bytes` sent now, at `rate` bytes a second. Unused earlier credit expires.
+    pub fn take(&mut self, now: u64, bytes: u64, rate: u64) {
+        self.take_late(now, bytes, rate, 0);
+    }
+
+    /// Charges as [`Self::take`] does. Unused credit of the last `late` nanoseconds stays.
+    pub fn take_late(&mut self, now: u64, bytes: u64, rate: u64, late: u64) {
         self.paid_until = self.paid_until.max(now.saturating_sub(late)).saturating_add(nanoseconds(bytes, rate));
     }
 }

@@ -194,7 +194,7 @@ impl ReaderState {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
         let share = if self.lagging { rate / 16 } else { rate / 4 };
-        self.repairs.take(now, cost, share.max(LEAST_REPAIR_RATE), 0);
+        self.repairs.take(now, cost, share.max(LEAST_REPAIR_RATE));
         allowed
     }
 

@@ -257,7 +257,7 @@ impl TopicState {
         self.sent += bytes as u64;
         self.large_unheard |= bytes > LEAST_PAYLOAD;
         self.paused = false;
-        self.pace.take(now, (bytes as u64).saturating_sub(self.at_once), rate, self.late);
+        self.pace.take_late(now, (bytes as u64).saturating_sub(self.at_once), rate, self.late);
         self.at_once = self.at_once.saturating_sub(bytes as u64);
         if !chosen.repair {
             self.fresh.add(now, bytes as u64);

@@ -408,7 +408,7 @@ impl Uplink {
 
     fn charge(&mut self, now: u64, class: usize, bytes: u64) {
         if let Some(budget) = self.options.budget {
-            self.budget.take(now, bytes, budget, 0);
+            self.budget.take(now, bytes, budget);
         }
         self.owed[class] = self.owed[class].saturating_sub(bytes);
         for other in 0..CLASSES {

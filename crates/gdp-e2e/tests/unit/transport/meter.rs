@@ -15,11 +15,11 @@ fn an_earlier_time_after_a_later_one_counts_as_the_later_one() {
 
 /// At a kilobyte a millisecond.
 #[test]
-fn credit_is_kept_for_the_time_that_the_sender_was_late() {
+fn a_token_bucket_keeps_the_credit_of_a_late_sender() {
     let ms = SECOND / 1000;
     for (late, ready) in [(0, 101), (25 * ms, 76), (1000 * ms, 11)] {
         let mut meter = Meter::new(10 * ms);
-        meter.take(100 * ms, 1000, 1_000_000, late);
+        meter.take_late(100 * ms, 1000, 1_000_000, late);
         assert_eq!(meter.ready_at(0), ready * ms);
     }
 }
