@@ -34,6 +34,22 @@ impl Default for ChainOptions {
     }
 }
 
+impl ChainOptions {
+    /// Returns the address of the left neighbour of node `i` and the port of its switch, after
+    /// [`Chain::become_ip_routers`]. Node 0 is the robot.
+    pub fn left_of(&self, i: usize) -> String {
+        format!("10.9.{}.1:{GDP_PORT}", i - 1)
+    }
+
+    /// Returns the address of the right neighbour of node `i`, as [`Self::left_of`] does.
+    pub fn right_of(&self, i: usize) -> String {
+        format!("10.9.{i}.2:{GDP_PORT}")
+    }
+}
+
+/// The UDP port of switches.
+const GDP_PORT: u16 = 31415;
+
 /// A chain of namespaces. Dropping it deletes them.
 pub struct Chain {
     nodes: Vec<Namespace>,

@@ -29,6 +29,8 @@ pub struct FabricOptions {
     pub depth: u32,
     /// Number of topics from robot to cloud: [`TOPIC`], and others with a number appended.
     pub topics: u32,
+    /// Whether links are over UDP and IPv4. Otherwise frames are on Ethernet.
+    pub udp: bool,
     /// Whether kernel state outlives the daemons, pinned in the fabric's own BPF file system.
     pub pinned: bool,
 }
@@ -42,6 +44,7 @@ impl Default for FabricOptions {
             transient_local: false,
             depth: 10,
             topics: 1,
+            udp: false,
             pinned: false,
         }
     }
@@ -50,6 +53,9 @@ impl Default for FabricOptions {
 /// The topic that crosses the fabric.
 pub const TOPIC: &str = "/chatter";
 pub const TYPE: &str = "std_msgs/msg/String";
+
+/// Where switches with links over UDP listen.
+const UDP_BIND: &str = "0.0.0.0:31415";
 
 /// The owner's folder.
 const OWNER: &str = "owner";
@@ -86,6 +92,9 @@ impl Fabric {
         let chain = Chain::build(options.chain)?;
         for end in [chain.robot(), chain.cloud()] {
             end.enable_loopback_multicast()?;
+        }
+        if options.udp {
+            chain.become_ip_routers()?;
         }
         let files = tempfile::Builder::new().prefix("gdp-fabric-").tempdir().context("cannot create a folder")?;
         let authority = Authority { tools: &tools, folder: files.path() };
@@ -253,9 +262,14 @@ impl Fabric {
                 },
             })
         };
+        let link = match (options.udp, interface) {
+            (false, _) => format!("eth://{interface}"),
+            (true, "r0") => format!("udp://{}", options.chain.right_of(0)),
+            (true, _) => format!("udp://{}", options.chain.left_of(options.chain.switches + 1)),
+        };
         let config = json!({
             "identity": "key.pem",
-            "links": [{"to": format!("eth://{interface}")}],
+            "links": [{"to": link}],
             "version": 1,
             "graphs": {"ros2": {"domain_id": 0}},
             "topics": (0..options.topics).map(topic).collect::<Vec<_>>(),
@@ -315,11 +329,15 @@ fn start_switch(
     let last = names.len() - 1;
     let data_plane = options.data_planes[i % options.data_planes.len()];
     let (interfaces, data_plane, dpdk) = dpdk::planned(data_plane, &["l0", "r0"], options.chain.mtu);
-    let left = (i > 0).then(|| json!({"interface": interfaces[0], "switch": names[i - 1]}));
-    let right = (i < last).then(|| json!({"interface": interfaces[1], "switch": names[i + 1]}));
+    let neighbour = |interface: &str, address: String, name: &str| match options.udp {
+        false => json!({"interface": interface, "switch": name}),
+        true => json!({"udp": address, "switch": name}),
+    };
+    let left = (i > 0).then(|| neighbour(&interfaces[0], options.chain.left_of(i + 1), &names[i - 1]));
+    let right = (i < last).then(|| neighbour(&interfaces[1], options.chain.right_of(i + 1), &names[i + 1]));
     let mut config = json!({
         "interfaces": interfaces,
-        "udp": null,
+        "udp": options.udp.then_some(UDP_BIND),
         "data_plane": data_plane,
         "dpdk": dpdk,
         "bpffs": options.pinned.then(|| folder.join(BPFFS)),

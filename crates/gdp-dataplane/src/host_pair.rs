@@ -16,12 +16,13 @@ use std::path::Path;
 
 use gdp_link::port::{HostPair, Interface};
 use gdp_wire::Name;
+use gdp_wire::packet::{IPV4_LEN, UDP_LEN};
 use netlink_packet_route::address::{AddressAttribute, AddressScope};
 use rtnetlink::{Handle, LinkUnspec, LinkVeth};
 
 use super::{device, udp};
 
-/// MTU in bytes, without the Ethernet header, as for any UDP carrier.
+/// MTU in bytes, without the Ethernet header. Each kernel attaches the program at this size.
 const MTU: u32 = 1500;
 
 /// Address range of all pairs. Each pair uses two addresses; the host has the even one.
@@ -81,6 +82,7 @@ pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
         switch_mac: switch_end.mac,
         host_ip,
         host_mac: outer.mac,
+        mtu: MTU - (IPV4_LEN + UDP_LEN) as u32,
     };
     let mut address = handle.address().add(outer.index, host_ip.into(), 32).replace();
     let message = address.message_mut();

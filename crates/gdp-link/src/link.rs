@@ -57,7 +57,7 @@ use ratchet::Ratchet;
 
 pub use hello::MIN_MTU;
 pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
-pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
+pub(crate) use tls::{QuicConfigs, QuicMtu, SERVER_NAME};
 pub(crate) use version::Versions;
 
 /// One link. All clones refer to the same link, which closes when the last clone is dropped.

@@ -15,29 +15,29 @@ mod ethernet;
 mod handshakes;
 mod host;
 mod misdelivered;
+mod route_mtu;
 mod send;
 mod sys;
 mod udp;
-mod udp_mtu;
 #[cfg(test)]
 #[path = "../tests/unit/port/udp_tests.rs"]
 mod udp_tests;
 
-pub use crate::port::udp_mtu::UDP_MTU;
+pub use crate::port::route_mtu::UDP_MTU;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::{ControlHeader, Header, Name, SMALLEST_PATH};
-use quinn::{AsyncUdpSocket, ClientConfig, Endpoint, EndpointConfig, Incoming, TokioRuntime};
+use quinn::{AsyncUdpSocket, Endpoint, EndpointConfig, Incoming, ServerConfig, TokioRuntime};
 use tokio::sync::{Mutex, broadcast, mpsc};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::link;
 use crate::link::{
-    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicMtu, RekeySchedule, Versions,
-    greet_as_client, greet_as_server,
+    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicConfigs, QuicMtu, RekeySchedule,
+    Versions, greet_as_client, greet_as_server,
 };
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::identity::Identity;
@@ -127,7 +127,7 @@ pub struct Port {
     endpoint: Endpoint,
     /// The socket of `endpoint`.
     socket: Arc<dyn AsyncUdpSocket>,
-    client: ClientConfig,
+    quic: Arc<QuicConfigs>,
     hello: HelloConfig,
     medium: Medium,
     data: Arc<DataSocket>,
@@ -138,7 +138,7 @@ pub struct Port {
 #[derive(Clone)]
 enum Medium {
     Ethernet(Interface, Arc<ethernet::ControlSocket>),
-    Udp { bound: SocketAddr, zero_checksum: bool, host: Option<u64> },
+    Udp(SocketAddr, Arc<udp::SharedUdp>),
 }
 
 impl Port {
@@ -161,10 +161,8 @@ impl Port {
         let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
         let data = DataSocket::new(data::Medium::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
             .map_err(fail(opening))?;
-        let quic = (found.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16;
-        let mtu = QuicMtu { initial: quic, discover_up_to: None };
         let frame_mtu = found.mtu.min(Header::LEN as u32 + u16::MAX as u32);
-        Self::open(config, control.clone(), Medium::Ethernet(found, control), data, mtu, frame_mtu)
+        Self::open(config, control.clone(), Medium::Ethernet(found, control), data, frame_mtu)
     }
 
     /// Opens a port on a UDP address. Call within a tokio runtime.
@@ -172,14 +170,9 @@ impl Port {
         let through = config.through.as_ref().map_or(String::new(), |interface| format!(" to interface {interface}"));
         let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}{through}"), source };
         let socket = Arc::new(udp::SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
-        let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
         let data = DataSocket::new(data::Medium::Udp(socket.clone())).map_err(fail)?;
-        let medium = Medium::Udp {
-            bound: socket.local_addr().map_err(fail)?,
-            zero_checksum: socket.takes_zero_checksums(),
-            host: socket.host(),
-        };
-        Self::open(config, socket, medium, data, mtu, UDP_MTU)
+        let medium = Medium::Udp(socket.local_addr().map_err(fail)?, socket.clone());
+        Self::open(config, socket, medium, data, UDP_MTU)
     }
 
     fn open(
@@ -187,16 +180,17 @@ impl Port {
         socket: Arc<dyn AsyncUdpSocket>,
         medium: Medium,
         data: DataSocket,
-        quic_mtu: QuicMtu,
         frame_mtu: u32,
     ) -> Result<Self, LinkError> {
-        let (client, mut server) = link::configs(config.identity.key(), quic_mtu, Versions::SPOKEN)?;
         // A station does not change its MAC address within a link.
-        server.migration(medium.is_udp());
+        let quic = Arc::new(QuicConfigs::new(config.identity.key(), Versions::SPOKEN, medium.is_udp())?);
         let mut endpoint_config = EndpointConfig::default();
         // The QUIC bit distinguishes QUIC packets from data frames on a shared port.
         endpoint_config.grease_quic_bit(false);
-        let server = config.listen.then_some(server);
+        let setup_error = |error| LinkError::Io { what: "QUIC endpoint".into(), source: std::io::Error::other(error) };
+        endpoint_config.max_udp_payload_size(medium.largest_quic()).map_err(setup_error)?;
+        // [`accept_one`] has the configuration of each connection.
+        let server = config.listen.then(|| quic.server(QuicMtu { initial: SMALLEST_PATH, discover_up_to: None }));
         let endpoint =
             Endpoint::new_with_abstract_socket(endpoint_config, server, socket.clone(), Arc::new(TokioRuntime))
                 .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
@@ -207,20 +201,21 @@ impl Port {
             link_ids: config.link_ids.clone(),
             mtu: frame_mtu,
             rekey: config.rekey,
-            zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
-            host: if let Medium::Udp { host, .. } = medium { host } else { None },
+            zero_checksum: medium.udp().is_some_and(|socket| socket.takes_zero_checksums()),
+            host: medium.udp().and_then(|socket| socket.host()),
             pair: CurrentPair::default(),
             credentials: config.credentials.clone(),
             versions: Versions::SPOKEN,
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
-        let accepting =
-            || accept_all(endpoint.clone(), hello.clone(), medium.clone(), config.handshakes.clone(), sender);
+        let accepting = || {
+            accept_all(endpoint.clone(), quic.clone(), hello.clone(), medium.clone(), config.handshakes.clone(), sender)
+        };
         let acceptor = config.listen.then(|| tokio::spawn(accepting()));
         Ok(Self {
             endpoint,
             socket,
-            client,
+            quic: quic.clone(),
             hello,
             medium,
             data: Arc::new(data),
@@ -246,13 +241,13 @@ impl Port {
             (LinkAddr::Ethernet { ifindex, mac }, Medium::Ethernet(interface, _)) if ifindex == interface.index => {
                 addr::mac_to_socket(mac)
             }
-            (LinkAddr::Udp(addr), Medium::Udp { .. }) => addr,
+            (LinkAddr::Udp(addr), Medium::Udp(..)) => addr,
             _ => return Err(LinkError::Handshake(format!("{to} cannot be reached through this port"))),
         };
         let handshake = async {
             let connecting = self
                 .endpoint
-                .connect_with(self.client.clone(), address, link::SERVER_NAME)
+                .connect_with(self.quic.client(self.medium.quic_mtu(address)), address, link::SERVER_NAME)
                 .map_err(|error| LinkError::Handshake(format!("{to}: {error}")))?;
             let connection = connecting.await.map_err(|error| {
                 let error = link::close_reason(&error);
@@ -321,7 +316,7 @@ impl Port {
     pub fn interface(&self) -> Option<&Interface> {
         match &self.medium {
             Medium::Ethernet(interface, _) => Some(interface),
-            Medium::Udp { .. } => None,
+            Medium::Udp(..) => None,
         }
     }
 
@@ -329,7 +324,7 @@ impl Port {
     pub fn udp_addr(&self) -> Option<SocketAddr> {
         match &self.medium {
             Medium::Ethernet(..) => None,
-            Medium::Udp { .. } => self.endpoint.local_addr().ok(),
+            Medium::Udp(..) => self.endpoint.local_addr().ok(),
         }
     }
 
@@ -369,17 +364,43 @@ impl Medium {
                 local_mac: interface.mac,
                 peer_mac: addr::socket_to_mac(&connection.remote_address()),
             },
-            Self::Udp { bound, .. } => LinkLocation::Udp { bound: *bound, pair: None },
+            Self::Udp(bound, _) => LinkLocation::Udp { bound: *bound, pair: None },
         }
     }
 
     fn is_udp(&self) -> bool {
-        matches!(self, Self::Udp { .. })
+        self.udp().is_some()
+    }
+
+    fn udp(&self) -> Option<&udp::SharedUdp> {
+        match self {
+            Self::Ethernet(..) => None,
+            Self::Udp(_, socket) => Some(socket),
+        }
+    }
+
+    /// Returns the size of the largest QUIC packet that this side takes, in bytes.
+    fn largest_quic(&self) -> u16 {
+        match self {
+            Self::Ethernet(interface, _) => (interface.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16,
+            Self::Udp(..) => UDP_MTU as u16,
+        }
+    }
+
+    /// Returns the path MTU of a connection to a peer.
+    fn quic_mtu(&self, to: SocketAddr) -> QuicMtu {
+        match self {
+            Self::Ethernet(..) => QuicMtu { initial: self.largest_quic(), discover_up_to: None },
+            Self::Udp(_, socket) => {
+                QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(socket.mtu_upper_bound(to)) }
+            }
+        }
     }
 }
 
 async fn accept_all(
     endpoint: Endpoint,
+    quic: Arc<QuicConfigs>,
     hello: HelloConfig,
     medium: Medium,
     counters: HandshakeCounters,
@@ -400,9 +421,10 @@ async fn accept_all(
             Verdict::Start(started) => Arc::new(started),
         };
         let (hello, medium, sender, counters) = (hello.clone(), medium.clone(), sender.clone(), counters.clone());
+        let server = quic.server(medium.quic_mtu(from));
         let counted = started.clone();
         let task = tokio::spawn(async move {
-            let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
+            let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, server, &hello, &medium))
                 .await
                 .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
             if let Err(error) = &link {
@@ -418,9 +440,14 @@ async fn accept_all(
     }
 }
 
-async fn accept_one(incoming: Incoming, hello: &HelloConfig, medium: &Medium) -> Result<Link, LinkError> {
+async fn accept_one(
+    incoming: Incoming,
+    server: ServerConfig,
+    hello: &HelloConfig,
+    medium: &Medium,
+) -> Result<Link, LinkError> {
     let failed = |error| LinkError::Handshake(link::close_reason(&error));
-    let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
+    let connection = incoming.accept_with(Arc::new(server)).map_err(failed)?.await.map_err(failed)?;
     let location = medium.location(&connection);
     greet_as_server(connection, location, hello).await
 }

@@ -58,6 +58,33 @@ fn a_megabyte_crosses_whole() -> Result<()> {
     complete_and_intact(&both.finish(TIMEOUT, TIMEOUT)?, &traffic)
 }
 
+/// Each link finds its MTU. The switches' kernel forwards the frames.
+#[test]
+fn jumbo_frames_over_udp_cross_three_switches() -> Result<()> {
+    let chain = ChainOptions { mtu: 9000, ..Default::default() };
+    let mut fabric = started(FabricOptions { chain, udp: true, ..Default::default() })?;
+    for i in 0..fabric.switches.len() {
+        wait_for("links with jumbo frames", TIMEOUT, || {
+            fabric.switches[i].process.check_alive()?;
+            let status = fabric.status(i)?;
+            let links = status["links"].as_array().into_iter().flatten();
+            let jumbo = links.filter(|link| link["mtu"].as_u64().is_some_and(|mtu| mtu > 8900)).count();
+            Ok((jumbo >= 2).then_some(()))
+        })
+        .with_context(|| fabric.status(i).unwrap_or_default().to_string())?;
+    }
+    let traffic = Traffic { count: 10, rate: 2.0, size: 1 << 20, ..Default::default() };
+    let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
+    let before = kernel_forwards(&fabric)?;
+    both.open()?;
+    complete_and_intact(&both.finish(TIMEOUT, TIMEOUT)?, &traffic)?;
+    for (before, after) in before.iter().zip(kernel_forwards(&fabric)?) {
+        // 120 frames a message. The first three seconds of a link have frames of 1200 B.
+        ensure!((1200..4000).contains(&(after - before)), "{} frames", after - before);
+    }
+    Ok(())
+}
+
 #[test]
 fn a_killed_publisher_is_forgotten_everywhere_and_welcome_again() -> Result<()> {
     let mut fabric = started(FabricOptions::default())?;

@@ -108,6 +108,34 @@ async fn jumbo_frames_pass_and_the_smaller_mtu_counts() -> Result<()> {
     Ok(())
 }
 
+/// QUIC discovers what the path takes. It asks the kernel's route for the upper bound.
+#[tokio::test]
+async fn a_link_over_udp_finds_the_mtu_of_its_path() -> Result<()> {
+    for (near, far, largest) in [(1500, 1500, 1472), (4000, 4000, 3972), (9000, 9000, 8972), (9000, 1500, 1472)] {
+        let cable = Cable::new(near)?;
+        let (at, there) = cable.number()?;
+        there.ip(&["link", "set", "s0", "mtu", &far.to_string()])?;
+        let endpoint = {
+            let _inside = at.enter()?;
+            Port::udp("0.0.0.0:0".parse()?, &PortConfig::endpoint(cable.endpoint.clone()))?
+        };
+        let switch = {
+            let _inside = there.enter()?;
+            Port::udp("10.8.0.2:31415".parse()?, &PortConfig::switch(cable.switch.clone(), LinkIds::new()))?
+        };
+        let (client, server) = link(&endpoint, &switch, LinkAddr::udp("10.8.0.2:31415".parse()?)).await?;
+        let (begin, found) = (Instant::now(), largest - 20..=largest);
+        while ![client.mtu(), server.mtu()].iter().all(|mtu| found.contains(mtu)) {
+            let mtus = (client.mtu(), server.mtu());
+            assert!(begin.elapsed() < Duration::from_secs(20), "{near} and {far}: {mtus:?}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        println!("{near} and {far}: {} after {:?}", client.mtu(), begin.elapsed());
+        exchange(&endpoint, &client, &switch, &server, &vec![3; client.mtu() as usize - Header::LEN], 20);
+    }
+    Ok(())
+}
+
 struct Cable {
     namespaces: (Namespace, Namespace),
     endpoint: Identity,
@@ -134,6 +162,13 @@ impl Cable {
         }
         let _inside = self.namespaces.1.enter()?;
         Ok(Port::ethernet("s0", &PortConfig::switch(self.switch.clone(), LinkIds::new()))?)
+    }
+
+    /// Gives the ends addresses, and returns their namespaces.
+    fn number(&self) -> Result<&(Namespace, Namespace)> {
+        self.namespaces.0.ip(&["addr", "add", "10.8.0.1/24", "dev", "e0"])?;
+        self.namespaces.1.ip(&["addr", "add", "10.8.0.2/24", "dev", "s0"])?;
+        Ok(&self.namespaces)
     }
 
     fn switch_addr(&self, endpoint: &Port) -> LinkAddr {

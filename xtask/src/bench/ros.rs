@@ -3,6 +3,7 @@
 //!
 //! ```text
 //!  gdp    talker ─lo─ gdp-proxy ──── s1 ── s2 ── s3 ──── gdp-proxy ─lo─ listener     (XDP)
+//!  gdp-udp the same, with the frames in UDP over IPv4
 //!  zenoh  talker ─lo─ zenoh-bridge ─ r1 ── r2 ── r3 ─ zenoh-bridge ─lo─ listener     (kernel IPv4; TLS on both sides, or in clear)
 //!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //!  local  talker ─lo─ listener                                                       (one host, in clear)
@@ -58,6 +59,9 @@ pub struct Options {
     /// Number of busy loops beside each measurement
     #[arg(long, default_value_t = 0)]
     hogs: u32,
+    /// MTU of all interfaces between the two hosts, in bytes
+    #[arg(long, default_value_t = 1500)]
+    mtu: u32,
     /// Measure programs that are built as for the tests: quick to compile, and slower
     #[arg(long)]
     checked: bool,
@@ -67,6 +71,7 @@ pub struct Options {
 #[serde(rename_all = "kebab-case")]
 pub(super) enum RosRoute {
     Gdp,
+    GdpUdp,
     Ip,
     Local,
     Tcp,
@@ -74,8 +79,15 @@ pub(super) enum RosRoute {
     Zenoh,
 }
 
-const ROUTES: [RosRoute; 6] =
-    [RosRoute::Gdp, RosRoute::Ip, RosRoute::Local, RosRoute::Tcp, RosRoute::ZenohTls, RosRoute::Zenoh];
+const ROUTES: [RosRoute; 7] = [
+    RosRoute::Gdp,
+    RosRoute::GdpUdp,
+    RosRoute::Ip,
+    RosRoute::Local,
+    RosRoute::Tcp,
+    RosRoute::ZenohTls,
+    RosRoute::Zenoh,
+];
 
 /// Messages of one size at one rate.
 pub(super) struct Load {
@@ -103,7 +115,7 @@ pub(super) const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10,
 
 impl Load {
     fn is_carried_by(&self, route: RosRoute) -> bool {
-        self.vendor == Vendor::Cyclone || matches!(route, RosRoute::Gdp | RosRoute::Ip | RosRoute::Local)
+        self.vendor == Vendor::Cyclone || !matches!(route, RosRoute::Tcp | RosRoute::ZenohTls | RosRoute::Zenoh)
     }
 }
 
@@ -155,7 +167,7 @@ pub fn run(options: Options) -> Result<()> {
     }
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
-    let bench = Bench::prepare(&routes, profile)?;
+    let bench = Bench { mtu: options.mtu, ..Bench::prepare(&routes, profile)? };
     let _hogs = Hog::several(options.hogs)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
@@ -188,13 +200,14 @@ pub fn run(options: Options) -> Result<()> {
 pub(super) struct Bench {
     tools: Tools,
     bridge: Option<PathBuf>,
+    mtu: u32,
 }
 
 impl Bench {
     /// Builds the programs of these routes, and removes namespaces of earlier runs.
     pub fn prepare(routes: &[RosRoute], profile: Profile) -> Result<Self> {
         setup::ensure(Purpose::Bench)?;
-        if routes.contains(&RosRoute::Gdp) {
+        if routes.iter().any(|route| matches!(route, RosRoute::Gdp | RosRoute::GdpUdp)) {
             build::executables(Executables::All, profile, Features::default())?;
         }
         peer_programs::build_dds()?;
@@ -205,7 +218,7 @@ impl Bench {
         };
         wait::catch_interrupts();
         netns::sweep()?;
-        Ok(Self { tools: workspace::tools(profile), bridge })
+        Ok(Self { tools: workspace::tools(profile), bridge, mtu: ChainOptions::default().mtu })
     }
 
     pub fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
@@ -213,8 +226,10 @@ impl Bench {
         let Load { bytes: size, rate, topics, depth, .. } = *load;
         let traffic = Traffic { count, rate, size, topics, depth, on_loopback, ..Default::default() };
         match route {
-            RosRoute::Gdp => {
-                let mut fabric = Fabric::start(self.tools.clone(), FabricOptions { topics, ..Default::default() })?;
+            RosRoute::Gdp | RosRoute::GdpUdp => {
+                let (udp, chain) = (route == RosRoute::GdpUdp, self.chain());
+                let options = FabricOptions { topics, udp, chain, ..Default::default() };
+                let mut fabric = Fabric::start(self.tools.clone(), options)?;
                 fabric.start_proxies()?;
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
                 let between = Between {
@@ -225,14 +240,14 @@ impl Bench {
                 Ok(Measured { repeated: Some(repeated(&fabric)), ..measured })
             }
             RosRoute::Tcp => {
-                let (chain, folder) = (routers()?, logs()?);
+                let (chain, folder) = (self.routers()?, logs()?);
                 let (_, cloud) = chain.ip_ends();
                 let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
                 let ends = [(chain.robot(), &talks), (chain.cloud(), &traffic)];
                 converse(&self.tools, Vendor::Tcp, ends, &Between::default(), folder.path())
             }
             RosRoute::Ip => {
-                let chain = routers()?;
+                let chain = self.routers()?;
                 let (robot, cloud) = chain.ip_ends();
                 // DDS finds its peers by multicast, which routers do not forward. So each side gets
                 // the address of the other.
@@ -255,7 +270,7 @@ impl Bench {
             }
             RosRoute::ZenohTls | RosRoute::Zenoh => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
-                let (chain, folder) = (routers()?, logs()?);
+                let (chain, folder) = (self.routers()?, logs()?);
                 let bridges = Bridges::start(bridge, &chain, route == RosRoute::ZenohTls, folder.path())?;
                 let talks = Traffic { node: Some("talker".into()), ..traffic.clone() };
                 let hears = Traffic { node: Some("listener".into()), ..traffic };
@@ -267,13 +282,19 @@ impl Bench {
     }
 }
 
-fn routers() -> Result<Chain> {
-    let chain = Chain::build(ChainOptions::default())?;
-    chain.become_ip_routers()?;
-    for end in [chain.robot(), chain.cloud()] {
-        end.enable_loopback_multicast()?;
+impl Bench {
+    fn chain(&self) -> ChainOptions {
+        ChainOptions { mtu: self.mtu, ..ChainOptions::default() }
     }
-    Ok(chain)
+
+    fn routers(&self) -> Result<Chain> {
+        let chain = Chain::build(self.chain())?;
+        chain.become_ip_routers()?;
+        for end in [chain.robot(), chain.cloud()] {
+            end.enable_loopback_multicast()?;
+        }
+        Ok(chain)
+    }
 }
 
 /// The programs between the two DDS programs, whose processor time counts.
@@ -352,6 +373,7 @@ fn row(route: RosRoute, load: &Load, sent: u64, all: &[Measured]) -> RosRow {
 fn name(route: RosRoute) -> &'static str {
     match route {
         RosRoute::Gdp => "gdp: proxy, 3 XDP switches, proxy",
+        RosRoute::GdpUdp => "gdp: the same, over UDP",
         RosRoute::Ip => "ip: 3 kernel routers, in clear",
         RosRoute::Local => "local: one host, in clear",
         RosRoute::Tcp => "tcp: 3 kernel routers, in clear",

@@ -113,7 +113,7 @@ async fn say_and_hear(
     // Only a peer on this host receives the host id.
     let is_here = || location.leads_to_this_host(connection.remote_address());
     let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
-    say(&mut send, config, &id, host, None).await?;
+    say(&mut send, config, (&id, config.mtu), host, None).await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     if let Some(expected) = expected
         && expected != peer.name
@@ -142,9 +142,11 @@ pub async fn greet_as_server(
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
     let pair = config.pair.get().filter(|_| is_on_this_host(config, &connection, &peer, &peer_end));
-    say(&mut send, config, &id, None, pair.map(|pair| pair.switch_ip)).await?;
+    // QUIC's path is another one, so it does not discover the pair's MTU.
+    let mtu = pair.map_or(config.mtu, |pair| config.mtu.min(pair.mtu));
+    say(&mut send, config, (&id, mtu), None, pair.map(|pair| pair.switch_ip)).await?;
     let location = pair.map_or(location, |pair| location.by(PairEnd::of_switch(&pair)));
-    Link::new(connection, location, (id, config.mtu), peer, peer_end, false, config.rekey)
+    Link::new(connection, location, (id, mtu), peer, peer_end, false, config.rekey)
 }
 
 /// Returns whether the peer is an endpoint on this host. The peer's hello claims it. The check
@@ -161,7 +163,7 @@ fn is_on_this_host(config: &HelloConfig, connection: &Connection, peer: &Peer, p
 async fn say(
     send: &mut SendStream,
     config: &HelloConfig,
-    id: &LinkId,
+    (id, mtu): (&LinkId, u32),
     host: Option<u64>,
     frames_at: Option<Ipv4Addr>,
 ) -> Result<(), LinkError> {
@@ -170,7 +172,7 @@ async fn say(
         digest: config.identity.proof().digest,
         link_id: id.get(),
         lane: config.lane,
-        mtu: config.mtu,
+        mtu,
         zero_checksum: config.zero_checksum,
         host,
         frames_at: frames_at.map(|ip| ip.octets()),

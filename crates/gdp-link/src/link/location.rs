@@ -53,7 +53,7 @@ impl PairEnd {
     }
 
     pub fn of_switch(pair: &HostPair) -> Self {
-        let HostPair { switch_ip, switch_mac, host_ip, host_mac } = *pair;
+        let HostPair { switch_ip, switch_mac, host_ip, host_mac, .. } = *pair;
         Self { local_ip: switch_ip, local_mac: switch_mac, peer_ip: host_ip, peer_mac: host_mac }
     }
 }

@@ -38,7 +38,7 @@ const SPKI_PREFIX: [u8; 27] = [
     0x3d, 0x03, 0x01, 0x07, 0x03, 0x42, 0x00, 0x04,
 ];
 
-/// Path MTU of a port's QUIC packets, in bytes.
+/// Path MTU of the QUIC packets of a connection, in bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct QuicMtu {
     pub initial: u16,
@@ -46,9 +46,35 @@ pub struct QuicMtu {
     pub discover_up_to: Option<u16>,
 }
 
-/// Returns the client and server configurations for an entity with this key that speaks these
-/// versions.
-pub fn configs(key: &SigningKey, mtu: QuicMtu, versions: Versions) -> Result<(ClientConfig, ServerConfig), LinkError> {
+/// The QUIC configurations of an entity. Each connection has a path MTU of its own.
+pub struct QuicConfigs {
+    client: ClientConfig,
+    server: ServerConfig,
+}
+
+impl QuicConfigs {
+    /// Returns the configurations for an entity with this key that speaks these versions.
+    /// `migration`: peers may change their addresses within a connection.
+    pub fn new(key: &SigningKey, versions: Versions, migration: bool) -> Result<Self, LinkError> {
+        let (client, mut server) = tls_configs(key, versions)?;
+        server.migration(migration);
+        Ok(Self { client, server })
+    }
+
+    pub fn client(&self, mtu: QuicMtu) -> ClientConfig {
+        let mut client = self.client.clone();
+        client.transport_config(Arc::new(transport(mtu)));
+        client
+    }
+
+    pub fn server(&self, mtu: QuicMtu) -> ServerConfig {
+        let mut server = self.server.clone();
+        server.transport_config(Arc::new(transport(mtu)));
+        server
+    }
+}
+
+fn tls_configs(key: &SigningKey, versions: Versions) -> Result<(ClientConfig, ServerConfig), LinkError> {
     let provider = Arc::new(aws_lc_rs::default_provider());
     let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
     let certified = Arc::new(certified_key(key)?);
@@ -72,11 +98,8 @@ pub fn configs(key: &SigningKey, mtu: QuicMtu, versions: Versions) -> Result<(Cl
     server.session_storage = Arc::new(NoServerSessionStorage {});
     server.send_tls13_tickets = 0;
 
-    let transport = Arc::new(transport(mtu));
-    let mut client = ClientConfig::new(Arc::new(QuicClientConfig::try_from(client).map_err(setup_error)?));
-    client.transport_config(transport.clone());
-    let mut server = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(server).map_err(setup_error)?));
-    server.transport_config(transport);
+    let client = ClientConfig::new(Arc::new(QuicClientConfig::try_from(client).map_err(setup_error)?));
+    let server = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(server).map_err(setup_error)?));
     Ok((client, server))
 }
 

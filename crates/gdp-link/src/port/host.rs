@@ -26,6 +26,8 @@ pub struct HostPair {
     /// The address that frames for endpoints are sent to, at each endpoint's port.
     pub host_ip: Ipv4Addr,
     pub host_mac: [u8; 6],
+    /// Largest data frame that fits the pair, in bytes.
+    pub mtu: u32,
 }
 
 /// A port's current interface pair, if any. Clones share it.

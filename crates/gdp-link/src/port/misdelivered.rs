@@ -16,7 +16,7 @@ use quinn::udp::{EcnCodepoint, RecvMeta};
 use super::LinkAddr;
 use super::batch::RecvBatch;
 use super::sys::WakeFd;
-use crate::port::udp_mtu::UDP_MTU;
+use crate::port::route_mtu::UDP_MTU;
 
 /// Queue length and maximum datagram length of each kind. No link carries longer datagrams.
 const QUEUE: usize = 1024;

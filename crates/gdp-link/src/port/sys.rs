@@ -34,6 +34,14 @@ pub fn bind_shared_udp(addr: SocketAddr, interface: Option<&str>) -> io::Result<
     Ok(socket.into())
 }
 
+/// Removes the peer of a UDP socket, and the address and port that the kernel chose for it.
+pub fn disconnect(fd: BorrowedFd) -> io::Result<()> {
+    // The family of a zeroed address is AF_UNSPEC.
+    let nobody = RawAddr::zeroed();
+    // SAFETY: the pointer refers to an address of the given length.
+    check(unsafe { libc::connect(fd.as_raw_fd(), (&raw const nobody).cast(), size_of::<RawAddr>() as u32) }).map(drop)
+}
+
 /// Converts the usual −1 into the error in `errno`.
 pub fn check(result: libc::c_int) -> io::Result<libc::c_int> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(result) }

@@ -23,6 +23,7 @@ use tokio::net::UdpSocket;
 use super::batch::RecvBatch;
 use super::control::Control;
 use super::misdelivered::{Frames, Packets};
+use super::route_mtu::{RouteMtu, UDP_MTU};
 use super::sys::{self, RawAddr, WakeFd, step};
 use super::{LinkAddr, host};
 
@@ -44,6 +45,7 @@ pub struct SharedUdp {
     v6: bool,
     zero_checksums: bool,
     host: Option<u64>,
+    route_mtu: RouteMtu,
     stray_packets: Packets,
     stray_frames: Frames,
 }
@@ -69,6 +71,7 @@ impl SharedUdp {
             v6,
             zero_checksums: v6 && no_check(quic.as_fd()) && no_check(data.as_fd()),
             host: if takes_all { host::id(quic.as_fd()) } else { None },
+            route_mtu: RouteMtu::open(bound, interface)?,
             quic: UdpSocket::from_std(quic)?,
             state,
             data,
@@ -90,6 +93,11 @@ impl SharedUdp {
     /// the host.
     pub fn host(&self) -> Option<u64> {
         self.host
+    }
+
+    /// Returns the upper bound for the discovery of the path MTU to a peer, in bytes.
+    pub fn mtu_upper_bound(&self, to: SocketAddr) -> u16 {
+        self.route_mtu.upper_bound(to)
     }
 
     /// Returns the socket for data frames.
@@ -265,8 +273,9 @@ impl AsyncUdpSocket for SharedUdp {
         self.state.max_gso_segments()
     }
 
+    /// Returns how many of the largest datagrams are a run. A run of smaller ones is not longer.
     fn max_receive_segments(&self) -> usize {
-        self.state.gro_segments()
+        LONGEST_RUN.div_ceil(UDP_MTU as usize)
     }
 
     fn may_fragment(&self) -> bool {

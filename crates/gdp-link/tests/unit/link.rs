@@ -136,7 +136,7 @@ async fn garbage_neither_stops_a_port_nor_reaches_it_as_data() {
 async fn silent_peers_hold_up_nobody_else() {
     let listener = listen(&identity("switch"));
     let address = listener.udp_addr().unwrap();
-    let (client, _) = configs(identity("proxy").key(), MTU, Versions::SPOKEN).unwrap();
+    let client = QuicConfigs::new(identity("proxy").key(), Versions::SPOKEN, true).unwrap().client(MTU);
     let endpoint = quinn::Endpoint::client("127.0.0.2:0".parse().unwrap()).unwrap();
     let mut silent = Vec::new();
     for _ in 0..16 {
@@ -158,7 +158,7 @@ async fn silent_peers_hold_up_nobody_else() {
 #[tokio::test]
 async fn hellos_are_bounded_and_checked() {
     let listener = listen(&identity("switch"));
-    let (client, _) = configs(identity("proxy").key(), MTU, Versions::SPOKEN).unwrap();
+    let client = QuicConfigs::new(identity("proxy").key(), Versions::SPOKEN, true).unwrap().client(MTU);
     let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
     for hello in [&[0xff; 4][..], &[0, 0, 8, 0], &[0, 0, 0, 3, 1, 2, 3], &[0, 0, 0, 9, 1]] {
         let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();

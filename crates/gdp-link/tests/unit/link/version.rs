@@ -7,8 +7,8 @@ use quinn::{ConnectionError, Endpoint};
 
 use super::*;
 use crate::link::LinkError;
-use crate::link::{HelloConfig, Link, LinkIds, LinkLocation, QuicMtu, RekeySchedule, SERVER_NAME};
-use crate::link::{configs, greet_as_client, greet_as_server};
+use crate::link::{HelloConfig, Link, LinkIds, LinkLocation, QuicConfigs, QuicMtu, RekeySchedule, SERVER_NAME};
+use crate::link::{greet_as_client, greet_as_server};
 use crate::port::CurrentPair;
 use gdp_core::identity::Identity;
 use gdp_core::peer::Role;
@@ -103,9 +103,9 @@ const LOCATION: LinkLocation = LinkLocation::Udp { bound: LOOPBACK, pair: None }
 const MTU: QuicMtu = QuicMtu { initial: 1200, discover_up_to: None };
 
 fn endpoint(versions: Versions) -> Endpoint {
-    let (client, server) = configs(identity().key(), MTU, versions).unwrap();
-    let mut endpoint = Endpoint::server(server, LOOPBACK).unwrap();
-    endpoint.set_default_client_config(client);
+    let configs = QuicConfigs::new(identity().key(), versions, true).unwrap();
+    let mut endpoint = Endpoint::server(configs.server(MTU), LOOPBACK).unwrap();
+    endpoint.set_default_client_config(configs.client(MTU));
     endpoint
 }
 
