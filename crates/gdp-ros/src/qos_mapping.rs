@@ -15,13 +15,14 @@ const ALL: usize = 10_000;
 
 /// Returns the options of a fabric publisher for ROS publishers that offer at most `offers`. A
 /// reliable topic drops its oldest message instead of waiting for room, as a keep-last history
-/// does. So a reader that falls behind delays neither the ROS nodes nor the other readers.
+/// does. So a reader that falls behind delays neither the ROS nodes nor the other readers. A large
+/// message that the depth would have dropped gives way after a second.
 /// [`latched_depth`] gives the transient-local depth of each publisher.
 pub fn publish_options(offers: &Offer) -> PublishOptions {
     let depth = depth(offers);
     if offers.reliable {
         PublishOptions {
-            reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+            reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: depth } },
             history: depth.max(REPAIRABLE),
             ..PublishOptions::reliable()
         }
@@ -36,7 +37,8 @@ pub fn latched_depth(offers: &Offer) -> usize {
 }
 
 /// Returns whether `offers` needs more than a name that was published for `published` has. How much
-/// a publisher latches can change while the name is published.
+/// a publisher latches can change while the name is published. For stale messages, a depth below
+/// [`REPAIRABLE`] counts as it was when the name was published.
 pub fn exceeds(offers: &Offer, published: &Offer) -> bool {
     let history = |offers: &Offer| if offers.reliable { depth(offers).max(REPAIRABLE) } else { depth(offers) };
     let is_deeper = !offers.transient_local && history(offers) > history(published);

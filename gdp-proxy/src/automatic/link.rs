@@ -252,8 +252,11 @@ impl CatalogLink {
     }
 }
 
+/// Versions of the catalog that readers may request again.
+const HISTORY: usize = 16;
+
 /// Reliable delivery with a high traffic class: no version may be lost, least of all the last one.
 fn options() -> PublishOptions {
-    let reliability = Reliability::Reliable { overflow: Overflow::DropOldest };
-    PublishOptions { reliability, history: 16, class: 5, ..PublishOptions::reliable() }
+    let reliability = Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: HISTORY } };
+    PublishOptions { reliability, history: HISTORY, class: 5, ..PublishOptions::reliable() }
 }

@@ -24,8 +24,9 @@ pub enum Overflow {
     /// [`Publisher::send`](super::Publisher::send) waits. For a reader that falls behind, it waits
     /// for a limited time only.
     Block,
-    /// Drops and counts the oldest message.
-    DropOldest,
+    /// Drops and counts the oldest message. A message of 64 kB or more also gives way when it is
+    /// older than a second, newer ones wait, and `keep_last` newer ones supersede it.
+    DropOldest { keep_last: usize },
 }
 
 /// The options of a publication.
@@ -79,8 +80,8 @@ impl From<PublishOptions> for TopicOptions {
             Reliability::Reliable { overflow: Overflow::Block } => {
                 transport::Reliability::Reliable { overflow: transport::Overflow::Block }
             }
-            Reliability::Reliable { overflow: Overflow::DropOldest } => {
-                transport::Reliability::Reliable { overflow: transport::Overflow::DropOldest }
+            Reliability::Reliable { overflow: Overflow::DropOldest { keep_last } } => {
+                transport::Reliability::Reliable { overflow: transport::Overflow::DropOldest { keep_last } }
             }
         };
         let history = History { messages: options.history, bytes: options.history_bytes };

@@ -35,6 +35,7 @@
 mod arrival;
 mod black_hole;
 mod congestion;
+mod history;
 mod inbound;
 mod meter;
 mod outbox;
@@ -48,8 +49,9 @@ mod topic;
 mod uplink;
 
 pub use crate::transport::arrival::{Arrival, InboundCounters, InboundOptions, Order, Segment};
+pub use history::{History, Overflow, Reliability};
 pub use inbound::Inbound;
-pub use outbox::{History, Overflow, Reliability, TopicCounters};
+pub use outbox::TopicCounters;
 pub use sealed::{Position, Sealed};
 pub use topic::TopicOptions;
 pub use uplink::{Full, Output, TopicId, Transmit, Uplink, UplinkOptions};
@@ -69,6 +71,9 @@ mod properties;
 #[cfg(test)]
 #[path = "../../tests/unit/transport/simulation.rs"]
 mod simulation;
+#[cfg(test)]
+#[path = "../../tests/unit/transport/stale.rs"]
+mod stale;
 #[cfg(test)]
 #[path = "../../tests/unit/transport/turns.rs"]
 mod turns;

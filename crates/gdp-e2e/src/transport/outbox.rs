@@ -6,36 +6,9 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::history::{History, LARGE, Overflow, Reliability, STALE};
 use super::{Position, Sealed};
 use crate::feedback_wire::Missing;
-
-/// The delivery guarantee of a topic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reliability {
-    /// Of waiting messages, sends the newest. Sends no frame of a message that is more than
-    /// `lifetime` nanoseconds old.
-    BestEffort { lifetime: u64 },
-    /// Delivers every message, as long as the history has it.
-    Reliable { overflow: Overflow },
-}
-
-/// The reaction of a reliable topic to a history full of messages that a reader still lacks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Overflow {
-    /// The publisher waits. For a reader that falls behind, it waits once and for a limited time.
-    Block,
-    /// The oldest message is dropped and counted.
-    DropOldest,
-}
-
-/// The capacity of a topic. A message larger than the capacity is accepted if the history is empty.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct History {
-    /// Best effort: messages that are not yet in progress, where those under one signature count as
-    /// one. Reliable: all messages.
-    pub messages: usize,
-    pub bytes: usize,
-}
 
 /// The outcomes of a topic's messages and frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -66,7 +39,7 @@ pub struct Chosen {
     pub repair: bool,
 }
 
-/// Maximum number of remembered ranges that were never sent. Readers that lack older ones give them
+/// Maximum number of remembered ranges that will not be sent. Readers that lack older ones give them
 /// up together with messages that can no longer be repaired.
 const MOST_SKIPPED: usize = 256;
 
@@ -122,7 +95,7 @@ pub struct Outbox {
     /// Whether a repair is next, if both a repair and a new frame wait.
     repair_next: bool,
     to_reseal: VecDeque<Arc<Sealed>>,
-    /// The latest ranges of sequences that were never sent.
+    /// The latest ranges of sequences that will not be sent, or not again.
     skipped: VecDeque<(u64, u64)>,
     counters: TopicCounters,
 }
@@ -189,7 +162,7 @@ impl Outbox {
         Some(last + 1)
     }
 
-    /// Records that this entry was never sent and never will be.
+    /// Records that this entry will not be sent, or not again.
     fn skip(&mut self, index: usize) {
         let message = &self.entries[index].message;
         match self.skipped.back_mut() {
@@ -288,8 +261,10 @@ impl Outbox {
 
     /// Returns the next frame payload, in frames of at most `max_payload` bytes.
     pub fn choose(&mut self, now: u64, max_payload: usize) -> Option<Chosen> {
-        if let Reliability::BestEffort { lifetime } = self.reliability {
-            self.expire(now, lifetime);
+        match self.reliability {
+            Reliability::BestEffort { lifetime } => self.expire(now, lifetime),
+            Reliability::Reliable { overflow: Overflow::DropOldest { keep_last } } => self.drop_stale(now, keep_last),
+            Reliability::Reliable { overflow: Overflow::Block } => {}
         }
         let fresh = self.fresh(max_payload);
         if (self.repair_next || fresh.is_none())
@@ -448,6 +423,27 @@ impl Outbox {
     fn find(&self, sequence: u64) -> Option<usize> {
         let index = self.entries.partition_point(|entry| entry.message.last() < sequence);
         self.entries.get(index).filter(|entry| entry.message.first() <= sequence).map(|_| index)
+    }
+
+    /// Drops stale messages of which a frame would be next, while newer ones wait. A message in
+    /// progress stays, because it is useful only as a whole.
+    fn drop_stale(&mut self, now: u64, keep_last: usize) {
+        loop {
+            let waiting = self.begun();
+            let repaired = self.repairs.front().and_then(|(sequence, _)| self.find(*sequence));
+            let is_stale = |&index: &usize| {
+                let entry = &self.entries[index];
+                let is_superseded = self.entries.len() - index > keep_last.max(1) && waiting < self.entries.len();
+                let is_old = now.saturating_sub(entry.pushed) > STALE;
+                is_superseded && is_old && entry.message.total_bytes() >= LARGE && (entry.is_sent() || entry.sent == 0)
+            };
+            let next =
+                repaired.into_iter().chain([waiting]).find(|index| *index < self.entries.len() && is_stale(index));
+            let Some(stale) = next else { return };
+            self.counters.evicted += self.entries[stale].messages();
+            self.skip(stale);
+            self.remove(stale);
+        }
     }
 
     fn expire(&mut self, now: u64, lifetime: u64) {

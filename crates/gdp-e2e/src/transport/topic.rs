@@ -3,8 +3,9 @@
 use gdp_wire::Name;
 
 use super::black_hole::{FrameLimit, LEAST_PAYLOAD};
+use super::history::{History, Overflow, Reliability};
 use super::meter::{Meter, Speed, nanoseconds};
-use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
+use super::outbox::{Chosen, Outbox};
 use super::peers::{Peers, ReaderState, Report, SILENCE_STEP};
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position, Sealed};

@@ -21,9 +21,9 @@ fn best_effort_keeps_the_depth() {
 
 #[test]
 fn reliable_repairs_what_was_sent_lately_and_never_waits() {
-    for (depth, history) in [(10, REPAIRABLE), (5000, 5000), (0, ALL)] {
+    for (depth, keep_last, history) in [(10, 10, REPAIRABLE), (5000, 5000, 5000), (0, ALL, ALL)] {
         let publish = publish_options(&Offer { reliable: true, depth, ..BEST_EFFORT });
-        assert_eq!(publish.reliability, Reliability::Reliable { overflow: Overflow::DropOldest });
+        assert_eq!(publish.reliability, Reliability::Reliable { overflow: Overflow::DropOldest { keep_last } });
         assert_eq!((publish.history, publish.latched), (history, 0));
     }
 }

@@ -2,7 +2,6 @@
 
 use gdp_faults::{Burst, Faults, Reorder};
 
-use super::outbox::Overflow;
 use super::simulation::*;
 use super::*;
 
@@ -116,7 +115,7 @@ fn link_down_3_s_and_back() {
         let faults = Faults { partitions: vec![(2 * SECOND, 5 * SECOND)], loss: 0.01, ..Faults::delay(RTT / 2) };
         let (mut sim, writer, readers) = Simulation::star(seed, faults, 1);
         let history = |messages| History { messages, bytes: 64 << 20 };
-        let overflow = Overflow::DropOldest;
+        let overflow = Overflow::DropOldest { keep_last: 10 };
         let reliability = Reliability::Reliable { overflow };
         let covered = TopicOptions { history: history(1000), ..TopicOptions::reliable() };
         let short = TopicOptions { history: history(100), reliability, ..TopicOptions::reliable() };
@@ -191,7 +190,7 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     let narrow = Faults { rate: Some(40 * MBIT), queue: Some(250_000), ..Faults::delay(2 * MS) };
     sim.join(a, b, narrow, Faults::delay(2 * MS));
     let options = TopicOptions {
-        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: 10 } },
         history: History { messages: 256, bytes: 3_000_000 },
         ..TopicOptions::reliable()
     };
@@ -214,7 +213,7 @@ fn run_on_busy_hosts(app: App, writer: Option<Away>, reader: Option<Away>) -> (u
     let [a, b] = [(); 2].map(|()| sim.node());
     sim.join(a, b, lan(), lan());
     let options = TopicOptions {
-        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: 10 } },
         ..TopicOptions::reliable()
     };
     let topic = sim.publish(a, options, app);
@@ -317,7 +316,7 @@ fn a_short_path_that_is_narrow_is_found_to_be_so() {
         let narrow = Faults { rate: Some(100 * MBIT), queue: Some(128_000), ..Faults::delay(MS / 10) };
         sim.join(a, b, narrow, Faults::delay(MS / 10));
         let options = TopicOptions {
-            reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+            reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: 10 } },
             history: History { messages: 256, bytes: 4_000_000 },
             ..TopicOptions::reliable()
         };
@@ -340,7 +339,7 @@ fn a_short_path_with_a_large_buffer_has_no_standing_queue() {
     let narrow = Faults { rate: Some(100 * MBIT), queue: Some(8 << 20), ..Faults::delay(MS / 10) };
     sim.join(a, b, narrow, Faults::delay(MS / 10));
     let options = TopicOptions {
-        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: 10 } },
         history: History { messages: 256, bytes: 4_000_000 },
         ..TopicOptions::reliable()
     };
@@ -405,7 +404,7 @@ fn a_slow_subscriber_never_slows_the_others() {
         assert_eq!(sim.topics[topic].readers[&fast].counters().abandoned, 0);
         (latencies.len(), percentile(&latencies, 90))
     };
-    for overflow in [Overflow::Block, Overflow::DropOldest] {
+    for overflow in [Overflow::Block, Overflow::DropOldest { keep_last: 10 }] {
         let (alone, alone_p90) = run(overflow, false);
         let (beside, beside_p90) = run(overflow, true);
         assert!(beside * 100 >= alone * 95, "{overflow:?}: {beside} of {alone}");
@@ -425,7 +424,7 @@ fn what_a_reader_never_gets_does_not_hold_up_the_rest() {
     let narrow = Faults { rate: Some(16 * MBIT), queue: Some(100_000), ..Faults::delay(25 * MS) };
     sim.join(a, b, narrow, Faults::delay(25 * MS));
     let options = TopicOptions {
-        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest { keep_last: 10 } },
         history: History { messages: 64, bytes: 64 << 20 },
         ..TopicOptions::reliable()
     };

@@ -3,7 +3,6 @@
 
 use gdp_faults::{Burst, Faults, Random, Reorder};
 
-use super::outbox::Overflow;
 use super::simulation::*;
 use super::*;
 
@@ -154,7 +153,7 @@ fn every_class_has_a_floor() {
 fn publish(sim: &mut Simulation, random: &mut Random, writers: &[usize]) -> (usize, bool) {
     let writer = writers[random.up_to(writers.len() as u64 - 1) as usize];
     let history = History { messages: 1 + random.up_to(200) as usize, bytes: 1 << (16 + random.up_to(8)) };
-    let overflow = if random.chance(0.5) { Overflow::Block } else { Overflow::DropOldest };
+    let overflow = if random.chance(0.5) { Overflow::Block } else { Overflow::DropOldest { keep_last: 10 } };
     let reliable = random.chance(0.6);
     let lifetime = (20 + random.up_to(400)) * MS;
     let reliability = if reliable { Reliability::Reliable { overflow } } else { Reliability::BestEffort { lifetime } };
