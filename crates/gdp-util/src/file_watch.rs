@@ -3,17 +3,18 @@
 //!
 //! One task watches the files' folders by inotify, so it also detects a replacement by `rename`. It
 //! also polls every file, because a bind mount, a network file system or a link into another folder
-//! sends no event.
+//! sends no event. Events of other files in these folders do not count: programs also write there.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
+use std::ffi::OsString;
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, SystemTime};
 
-use futures_util::StreamExt as _;
 use futures_util::future::select_all;
+use futures_util::{FutureExt as _, StreamExt as _};
 use inotify::{EventOwned, EventStream, Inotify, WatchDescriptor, WatchMask, Watches};
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
@@ -26,6 +27,9 @@ const SLOW_LOOK: Duration = Duration::from_secs(5);
 /// Time to wait after an event. A file is often replaced in several steps, which count as one
 /// change.
 const SETTLE: Duration = Duration::from_millis(20);
+
+/// Maximum number of events that count as one change.
+const MOST_EVENTS: usize = 256;
 
 /// Time without a change after which a set of files has changed. Before that, a program may still
 /// be writing one of them.
@@ -195,7 +199,15 @@ async fn run(shared: Weak<Shared>) {
         let Some(now) = shared.upgrade() else { return };
         folders.follow(&now.files.lock());
         tokio::select! {
-            () = folders.event() => sleep(SETTLE).await,
+            () = folders.event() => {
+                sleep(SETTLE).await;
+                // What else has happened meanwhile belongs to the same change.
+                for _ in 0..MOST_EVENTS {
+                    if folders.event().now_or_never().is_none() {
+                        break;
+                    }
+                }
+            }
             () = now.added.notified() => continue,
             () = sleep_until(slow_look) => slow_look = Instant::now() + SLOW_LOOK,
         }
@@ -223,6 +235,8 @@ impl Shared {
 struct Folders {
     events: Option<(EventStream<[u8; 4096]>, Watches)>,
     watched: HashMap<PathBuf, WatchDescriptor>,
+    /// The names of the files.
+    names: HashSet<OsString>,
 }
 
 impl Folders {
@@ -231,12 +245,13 @@ impl Folders {
             let watches = inotify.watches();
             Ok((inotify.into_event_stream([0; 4096])?, watches))
         });
-        Self { events: events.ok(), watched: HashMap::new() }
+        Self { events: events.ok(), watched: HashMap::new(), names: HashSet::new() }
     }
 
     /// Watches exactly the folders of these files.
     fn follow(&mut self, files: &HashMap<PathBuf, Watched>) {
         let Some((_, watches)) = &mut self.events else { return };
+        self.names = files.keys().filter_map(|file| file.file_name()).map(OsString::from).collect();
         let wanted: HashSet<&Path> = files.keys().map(|file| folder_of(file)).collect();
         for (_, descriptor) in self.watched.extract_if(|folder, _| !wanted.contains(folder.as_path())) {
             // The kernel has already removed the watch of a deleted folder.
@@ -259,10 +274,16 @@ impl Folders {
         }
     }
 
-    /// Waits for an event in one of the folders.
+    /// Waits for an event of one of the files, or of a folder itself. This function is cancel-safe.
     async fn event(&mut self) {
+        while !self.next().await {}
+    }
+
+    /// Waits for an event in one of the folders. Returns whether it may concern a file.
+    async fn next(&mut self) -> bool {
         let Some((stream, _)) = &mut self.events else { return std::future::pending().await };
         match stream.next().await {
+            Some(Ok(EventOwned { name: Some(name), .. })) => self.names.contains(&name),
             Some(Ok(EventOwned { wd, mask, .. })) => {
                 let is_gone = mask.intersects(
                     inotify::EventMask::IGNORED | inotify::EventMask::DELETE_SELF | inotify::EventMask::MOVE_SELF,
@@ -270,10 +291,12 @@ impl Folders {
                 if is_gone {
                     self.watched.retain(|_, watched| *watched != wd);
                 }
+                true
             }
             Some(Err(_)) | None => {
                 self.events = None;
                 self.watched.clear();
+                true
             }
         }
     }

@@ -46,6 +46,22 @@ async fn each_way_to_change_a_file_is_told() {
     assert!(!file.has_changed(), "each change is told once");
 }
 
+/// A program replaces its statistics in the same folder each second.
+#[tokio::test]
+async fn other_files_in_the_folder_are_no_event() {
+    let scene = Scene::new();
+    let _watched = scene.watcher.watch(&scene.path("certificate"));
+    let mut folders = Folders::new();
+    folders.follow(&scene.watcher.0.shared.files.lock());
+    for i in 0..100 {
+        fs::write(scene.path("statistics.new"), i.to_string()).unwrap();
+        fs::rename(scene.path("statistics.new"), scene.path("statistics")).unwrap();
+    }
+    assert!(timeout(Duration::from_millis(200), folders.event()).await.is_err());
+    fs::write(scene.path("certificate"), "one").unwrap();
+    timeout(DEADLINE, folders.event()).await.unwrap();
+}
+
 #[tokio::test]
 async fn a_folder_that_comes_later_and_a_link_into_another_are_told() {
     let scene = Scene::new();
