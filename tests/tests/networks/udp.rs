@@ -93,8 +93,7 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
 /// IPv4 allows.
 #[test]
 fn long_datagrams_are_right_to_the_bit() -> Result<()> {
-    for (mtu, frames) in
-        [(1500, &[(1472, true)][..]), (3498, &[(3000, true)]), (9000, &[(3000, true), (5000, false)])]
+    for (mtu, frames) in [(1500, &[(1472, true)][..]), (3498, &[(3000, true)]), (9000, &[(3000, true), (5000, false)])]
     {
         let mut site = Site::with_mtu(Wanted::Xdp, mtu)?;
         let cable = PacketSocket::open(&site.router, "s0")?;
