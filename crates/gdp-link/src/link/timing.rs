@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// Interval of keep-alive packets on an idle link.
+/// Interval of keep-alive packets on an idle link. The side that dialled sends them.
 pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
 
 /// A link counts as lost after this time without a packet.

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
-use quinn::{ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
+use quinn::{AckFrequencyConfig, ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::client::{AlwaysResolvesClientRawPublicKeys, Resumption};
 use rustls::crypto::aws_lc_rs::{self, sign::any_ecdsa_type};
@@ -62,8 +62,10 @@ impl QuicConfigs {
     }
 
     pub fn client(&self, mtu: QuicMtu) -> ClientConfig {
-        let mut client = self.client.clone();
-        client.transport_config(Arc::new(transport(mtu)));
+        let (mut client, mut transport) = (self.client.clone(), transport(mtu));
+        // The packets of one side keep both alive, and the answers tell the dialler of the peer.
+        transport.keep_alive_interval(Some(KEEP_ALIVE));
+        client.transport_config(Arc::new(transport));
         client
     }
 
@@ -127,8 +129,11 @@ fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
 fn transport(mtu: QuicMtu) -> TransportConfig {
     let message = MAX_MESSAGE as u32 + 1024;
     let mut transport = TransportConfig::default();
+    // An acknowledgement that waits for company would wake the thread once more.
+    let mut acknowledgements = AckFrequencyConfig::default();
+    acknowledgements.ack_eliciting_threshold(VarInt::from_u32(0));
     transport
-        .keep_alive_interval(Some(KEEP_ALIVE))
+        .ack_frequency_config(Some(acknowledgements))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_TIMEOUT.as_millis() as u32))))
         .max_concurrent_bidi_streams(VarInt::from_u32(MAX_STREAMS))
         .max_concurrent_uni_streams(VarInt::from_u32(0))
