@@ -192,8 +192,8 @@ async fn a_sink_overtakes_no_message_that_the_task_has() {
     reader.set_sink(Some(Box::new(move |arrived| match numbered(&arrived.sample) {
         Some(number) if number.is_multiple_of(7) => false,
         number => {
-            by_sink.lock().unwrap().extend(number);
             taken_by_sink.fetch_add(number.is_some().into(), Ordering::Relaxed);
+            by_sink.lock().unwrap().extend(number);
             true
         }
     })));

@@ -48,7 +48,7 @@ impl ChainOptions {
 }
 
 /// The UDP port of switches.
-const GDP_PORT: u16 = 31415;
+pub const GDP_PORT: u16 = 31415;
 
 /// A chain of namespaces. Dropping it deletes them.
 pub struct Chain {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use crate::chain::{Chain, ChainOptions};
+use crate::chain::{Chain, ChainOptions, GDP_PORT};
 use crate::dpdk;
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
@@ -53,9 +53,6 @@ impl Default for FabricOptions {
 /// The topic that crosses the fabric.
 pub const TOPIC: &str = "/chatter";
 pub const TYPE: &str = "std_msgs/msg/String";
-
-/// Where switches with links over UDP listen.
-const UDP_BIND: &str = "0.0.0.0:31415";
 
 /// The owner's folder.
 const OWNER: &str = "owner";
@@ -337,7 +334,7 @@ fn start_switch(
     let right = (i < last).then(|| neighbour(&interfaces[1], options.chain.right_of(i + 1), &names[i + 1]));
     let mut config = json!({
         "interfaces": interfaces,
-        "udp": options.udp.then_some(UDP_BIND),
+        "udp": options.udp.then(|| format!("0.0.0.0:{GDP_PORT}")),
         "data_plane": data_plane,
         "dpdk": dpdk,
         "bpffs": options.pinned.then(|| folder.join(BPFFS)),

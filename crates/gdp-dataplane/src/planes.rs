@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use gdp_core::name::NamePrefix;
 use gdp_link::link::KeyedEntry;
-use gdp_link::port::{DataSocket, HostPair, Interface, LinkAddr};
+use gdp_link::port::{DataSocket, HostPair, Interface, LinkAddr, UDP_MTU};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, PORT_USERSPACE};
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, Name, Permit};
 
@@ -27,9 +27,6 @@ use crate::route::PlaneRoute;
 use crate::tally;
 use crate::userspace_plane::UserspacePlane;
 use crate::xdp::{XdpPlane, clear_left_over};
-
-/// Size in bytes of the largest frame read from UDP.
-const LARGEST_UDP_FRAME: usize = 2048;
 
 /// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads. State taken
 /// over from an earlier daemon remains in the kernel until the adoption has ended.
@@ -160,7 +157,7 @@ impl Planes {
         pair: Option<Ends>,
     ) -> Result<Vec<InterfacePlane>, PlaneError> {
         self.detach_udp();
-        let started = self.state.userspace.attach(Medium::Udp, socket, LARGEST_UDP_FRAME);
+        let started = self.state.userspace.attach(Medium::Udp, socket, UDP_MTU as usize);
         started.map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
         self.state.on_fast_path(|fast_path| fast_path.attach_udp(bound, pair))?;
         self.state.set_all_groups();

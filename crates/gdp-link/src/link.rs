@@ -31,6 +31,7 @@ use timing::MAX_STREAMS;
 pub use timing::{HANDSHAKE_TIMEOUT, IDLE_TIMEOUT, KEEP_ALIVE, REQUEST_TIMEOUT};
 
 use std::fmt;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -71,6 +72,8 @@ struct Inner {
     ratchet: StdMutex<Ratchet>,
     announcements: Mutex<mpsc::Receiver<Announcement>>,
     mtu: u32,
+    /// The limit of the route to the peer; see [`Link::limit_mtu`].
+    mtu_limit: AtomicU32,
     /// Whether the peer accepts datagrams over IPv6 without a UDP checksum.
     zero_checksum: bool,
     location: LinkLocation,
@@ -112,6 +115,7 @@ impl Link {
             ratchet: StdMutex::new(ratchet),
             announcements: Mutex::new(announcements),
             mtu: local.1.min(peer_end.mtu),
+            mtu_limit: AtomicU32::new(u32::MAX),
             zero_checksum: peer_end.zero_checksum,
             location,
             connection,
@@ -146,8 +150,17 @@ impl Link {
     pub fn mtu(&self) -> u32 {
         match self.0.location {
             LinkLocation::Ethernet { .. } => self.0.mtu,
-            LinkLocation::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
+            LinkLocation::Udp { .. } => {
+                let discovered = self.0.connection.stats().path.current_mtu.into();
+                self.0.mtu.min(discovered).min(self.0.mtu_limit.load(Ordering::Relaxed))
+            }
         }
+    }
+
+    /// Limits data frames over UDP to what the route to the peer takes now, in bytes. After a move,
+    /// QUIC keeps the path MTU that it has discovered before.
+    pub fn limit_mtu(&self, route: u32) {
+        self.0.mtu_limit.store(route, Ordering::Relaxed);
     }
 
     /// Returns the address that data frames are sent to. A UDP address changes after the peer has

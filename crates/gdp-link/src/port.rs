@@ -339,6 +339,14 @@ impl Port {
         self.hello.mtu
     }
 
+    /// Returns the size of the largest data frame that the kernel's route to a peer takes, in bytes.
+    pub fn route_mtu(&self, to: LinkAddr) -> u32 {
+        match (&self.medium, to) {
+            (Medium::Udp(_, socket), LinkAddr::Udp(to)) => socket.mtu_upper_bound(to).into(),
+            _ => self.mtu(),
+        }
+    }
+
     /// Closes all links with this reason, and waits at most 1 s for the close messages.
     pub async fn close(&self, reason: &str) {
         self.endpoint.close(quinn::VarInt::from_u32(0), reason.as_bytes());

@@ -208,7 +208,7 @@ async fn run(shared: Weak<Shared>) {
                     }
                 }
             }
-            () = now.added.notified() => continue,
+            () = now.added.notified() => {}
             () = sleep_until(slow_look) => slow_look = Instant::now() + SLOW_LOOK,
         }
         now.look();

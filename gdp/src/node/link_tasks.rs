@@ -9,11 +9,12 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 use super::attachment::Attachment;
 use super::choice::Pulse;
-use super::network::{Network, NetworkPath};
+use super::network::{BETWEEN, Network, NetworkPath};
 use super::pause::{BACKOFF, wait};
 use super::send_path::SendPath;
 use super::state::{LIFETIME, State};
 use gdp_core::crypto;
+use gdp_link::link::Link;
 use gdp_link::port::{LinkAddr, Port};
 use gdp_proto::control::Request;
 
@@ -99,6 +100,16 @@ pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>
             false => OTHER_ECHOES,
         };
         sleep(pause.max(attachment.link.rtt())).await;
+    }
+}
+
+/// Limits frames to what the route to the switch takes, after each change of this machine's
+/// networks. QUIC discovers a larger path MTU, but not a smaller one soon.
+pub async fn watch_mtu(network: Arc<Network>, port: Arc<Port>, link: Link) {
+    let mut changes = network.changes();
+    while changes.changed().await.is_ok() {
+        link.limit_mtu(port.route_mtu(link.addr()));
+        sleep(BETWEEN).await;
     }
 }
 

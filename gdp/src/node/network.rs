@@ -40,7 +40,7 @@ const ASK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Minimum interval of queries that notifications trigger, because notifications may arrive in
 /// bursts.
-const BETWEEN: Duration = Duration::from_millis(5);
+pub const BETWEEN: Duration = Duration::from_millis(5);
 
 /// The path from this machine to an address, as far as the kernel reports it.
 #[derive(Clone, Debug, PartialEq, Eq)]

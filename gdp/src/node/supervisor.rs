@@ -17,7 +17,7 @@ use super::command::{Command, RibUpdate};
 use super::config::LinkConfig;
 use super::dialler::Dialler;
 use super::error::NodeError;
-use super::link_tasks::{ANSWER, keep_stated, watch_moves, watch_silence};
+use super::link_tasks::{ANSWER, keep_stated, watch_moves, watch_mtu, watch_silence};
 use super::links::Connection;
 use super::network::Network;
 use super::pause::{BACKOFF, ExpediteToken};
@@ -203,13 +203,13 @@ impl Supervisor {
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
         let Dialler { network, port, through, .. } = &self.dialler;
-        let moves = network
-            .clone()
-            .zip(port.clone())
-            .map(|(network, port)| watch_moves(send_path.clone(), network, port, *through, attachment.clone()));
-        let _moves = moves.map(|moves| AbortOnDrop(tokio::spawn(moves)));
-        let (watched, home) = (attachment.link.clone(), state.home.clone());
-        let _home = AbortOnDrop(tokio::spawn(async move { home.watch(&watched).await }));
+        let _network = network.clone().zip(port.clone()).map(|(network, port)| {
+            let mtu = watch_mtu(network.clone(), port.clone(), attachment.link.clone());
+            let moves = watch_moves(send_path.clone(), network, port, *through, attachment.clone());
+            (AbortOnDrop(tokio::spawn(mtu)), AbortOnDrop(tokio::spawn(moves)))
+        });
+        let (at, home) = (attachment.link.clone(), state.home.clone());
+        let _home = AbortOnDrop(tokio::spawn(async move { home.watch(&at).await }));
         let link = &attachment.link;
         loop {
             tokio::select! {

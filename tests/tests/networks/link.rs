@@ -136,6 +136,26 @@ async fn a_link_over_udp_finds_the_mtu_of_its_path() -> Result<()> {
     Ok(())
 }
 
+/// The same question twice, since the first one changes the socket.
+#[tokio::test]
+async fn the_route_of_a_port_leaves_by_the_interface_of_the_port() -> Result<()> {
+    let cable = Cable::new(9000)?;
+    let (at, there) = cable.number()?;
+    let end = |namespace, interface, mac| End { namespace, interface, mac };
+    veth(&end(at, "e1", [2, 0, 0, 0, 0, 3]), &end(there, "s1", [2, 0, 0, 0, 0, 4]), 1500)?;
+    at.ip(&["addr", "add", "10.9.0.1/24", "dev", "e1"])?;
+    let to = LinkAddr::udp("10.9.0.2:31415".parse()?);
+    for (through, mtu) in [(None, 1472), (Some("e0".to_owned()), 8972)] {
+        let port = {
+            let _inside = at.enter()?;
+            let config = PortConfig { through, ..PortConfig::endpoint(cable.endpoint.clone()) };
+            Port::udp("0.0.0.0:0".parse()?, &config)?
+        };
+        assert_eq!([port.route_mtu(to), port.route_mtu(to)], [mtu, mtu]);
+    }
+    Ok(())
+}
+
 struct Cable {
     namespaces: (Namespace, Namespace),
     endpoint: Identity,

@@ -1,4 +1,6 @@
-//! What a topic keeps of its messages, and for whom.
+//! What a topic keeps of its messages, and what became of them.
+
+use serde::Serialize;
 
 use super::MS;
 
@@ -34,9 +36,30 @@ pub struct History {
     pub bytes: usize,
 }
 
-/// A message of this size is large, in bytes.
+/// A message of at least this size is large, in bytes. A batch of small ones is not.
 pub const LARGE: usize = 1 << 16;
 
-/// Age in nanoseconds at which a large message becomes stale. A path that is so far behind takes
-/// newer messages rather than all frames of old ones.
+/// Time in nanoseconds after which a large message is stale: since it was published, or since it was
+/// sent and only repairs are left. A path that is so far behind takes newer messages.
 pub const STALE: u64 = 1_000 * MS;
+
+/// The outcomes of a topic's messages and frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct TopicCounters {
+    pub messages: u64,
+    /// Messages that newer ones replaced before all their frames were sent.
+    pub replaced: u64,
+    /// Messages whose lifetime ended before all their frames were sent.
+    pub expired: u64,
+    /// Messages that left the history of a reliable topic before every live reader had them.
+    pub evicted: u64,
+    /// Frame payloads sent, including repairs. Payloads that share a frame count separately.
+    pub frames: u64,
+    pub repeated: u64,
+    /// Frames that a reader requested beyond its budget.
+    pub over_budget: u64,
+    /// Frames that readers received with a congestion mark.
+    pub marked: u64,
+    /// Number of times that a path became congested and its rate was reduced.
+    pub slowed: u64,
+}

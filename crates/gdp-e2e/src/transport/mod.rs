@@ -49,9 +49,8 @@ mod topic;
 mod uplink;
 
 pub use crate::transport::arrival::{Arrival, InboundCounters, InboundOptions, Order, Segment};
-pub use history::{History, Overflow, Reliability};
+pub use history::{History, Overflow, Reliability, TopicCounters};
 pub use inbound::Inbound;
-pub use outbox::TopicCounters;
 pub use sealed::{Position, Sealed};
 pub use topic::TopicOptions;
 pub use uplink::{Full, Output, TopicId, Transmit, Uplink, UplinkOptions};

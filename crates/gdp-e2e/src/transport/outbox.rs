@@ -4,32 +4,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use serde::Serialize;
-
-use super::history::{History, LARGE, Overflow, Reliability, STALE};
+use super::history::{History, LARGE, Overflow, Reliability, STALE, TopicCounters};
 use super::{Position, Sealed};
 use crate::feedback_wire::Missing;
-
-/// The outcomes of a topic's messages and frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct TopicCounters {
-    pub messages: u64,
-    /// Messages that newer ones replaced before all their frames were sent.
-    pub replaced: u64,
-    /// Messages whose lifetime ended before all their frames were sent.
-    pub expired: u64,
-    /// Messages that left the history of a reliable topic before every live reader had them.
-    pub evicted: u64,
-    /// Frame payloads sent, including repairs. Payloads that share a frame count separately.
-    pub frames: u64,
-    pub repeated: u64,
-    /// Frames that a reader requested beyond its budget.
-    pub over_budget: u64,
-    /// Frames that readers received with a congestion mark.
-    pub marked: u64,
-    /// Number of times that a path became congested and its rate was reduced.
-    pub slowed: u64,
-}
 
 /// A frame payload to send.
 #[derive(Clone, Debug)]
@@ -39,8 +16,8 @@ pub struct Chosen {
     pub repair: bool,
 }
 
-/// Maximum number of remembered ranges that will not be sent. Readers that lack older ones give them
-/// up together with messages that can no longer be repaired.
+/// Maximum number of remembered ranges that will not be sent. Readers give older ones up together
+/// with messages that can no longer be repaired.
 const MOST_SKIPPED: usize = 256;
 
 /// Maximum number of waiting repairs, of all readers together.
@@ -62,6 +39,8 @@ struct QueuedMessage {
     pushed: u64,
     /// Frames that were sent or skipped.
     sent: usize,
+    /// When the last frame was sent for the first time.
+    completed: u64,
     /// Retransmissions by frame, from the first request on.
     repeated: Vec<Repeated>,
     /// Whether its frames are too large and are being resealed.
@@ -75,6 +54,10 @@ impl QueuedMessage {
 
     fn messages(&self) -> u64 {
         self.message.last() - self.message.first() + 1
+    }
+
+    fn is_large(&self) -> bool {
+        self.messages() == 1 && self.message.total_bytes() >= LARGE
     }
 }
 
@@ -239,7 +222,14 @@ impl Outbox {
         self.last = message.last();
         self.bytes += message.total_bytes();
         let message = Arc::new(message);
-        self.entries.push_back(QueuedMessage { message, pushed: now, sent: 0, repeated: Vec::new(), resealing: false });
+        self.entries.push_back(QueuedMessage {
+            message,
+            pushed: now,
+            sent: 0,
+            completed: 0,
+            repeated: Vec::new(),
+            resealing: false,
+        });
         Ok(())
     }
 
@@ -287,9 +277,8 @@ impl Outbox {
             entry.repeated[chosen.frame] = Repeated { at: now, total, queued: false };
         } else {
             entry.sent = chosen.frame + 1;
-            while self.entries.get(self.cursor).is_some_and(QueuedMessage::is_sent) {
-                self.cursor += 1;
-            }
+            entry.completed = now;
+            self.advance();
         }
         self.repair_next = !chosen.repair;
     }
@@ -313,6 +302,7 @@ impl Outbox {
             message: Arc::new(message),
             pushed: entry.pushed,
             sent: 0,
+            completed: 0,
             repeated: Vec::new(),
             resealing: false,
         };
@@ -387,6 +377,12 @@ impl Outbox {
         self.cursor + usize::from(going)
     }
 
+    fn advance(&mut self) {
+        while self.entries.get(self.cursor).is_some_and(QueuedMessage::is_sent) {
+            self.cursor += 1;
+        }
+    }
+
     fn fresh(&mut self, max_payload: usize) -> Option<Chosen> {
         for entry in self.entries.iter_mut().skip(self.cursor) {
             if entry.is_sent() || entry.resealing {
@@ -427,23 +423,41 @@ impl Outbox {
 
     /// Drops stale messages of which a frame would be next, while newer ones wait. A message in
     /// progress stays, because it is useful only as a whole.
+    ///
+    /// Of those that wait, it drops all but the newest `keep_last` at once: a reader learns of each
+    /// gap in a round trip of its own.
     fn drop_stale(&mut self, now: u64, keep_last: usize) {
-        loop {
-            let waiting = self.begun();
-            let repaired = self.repairs.front().and_then(|(sequence, _)| self.find(*sequence));
-            let is_stale = |&index: &usize| {
-                let entry = &self.entries[index];
-                let is_superseded = self.entries.len() - index > keep_last.max(1) && waiting < self.entries.len();
-                let is_old = now.saturating_sub(entry.pushed) > STALE;
-                is_superseded && is_old && entry.message.total_bytes() >= LARGE && (entry.is_sent() || entry.sent == 0)
-            };
-            let next =
-                repaired.into_iter().chain([waiting]).find(|index| *index < self.entries.len() && is_stale(index));
-            let Some(stale) = next else { return };
-            self.counters.evicted += self.entries[stale].messages();
-            self.skip(stale);
-            self.remove(stale);
+        let repaired = self.repairs.front().and_then(|(sequence, _)| self.find(*sequence));
+        if let Some(index) = repaired.filter(|index| self.is_stale(now, *index, keep_last)) {
+            self.evict(index);
         }
+        let waiting = self.begun();
+        if !self.is_stale(now, waiting, keep_last) {
+            return;
+        }
+        while self.entries.len() - waiting > keep_last.max(1)
+            && self.entries.get(waiting).is_some_and(|entry| entry.sent == 0 && entry.is_large())
+        {
+            self.evict(waiting);
+        }
+    }
+
+    fn is_stale(&self, now: u64, index: usize, keep_last: usize) -> bool {
+        let Some(entry) = self.entries.get(index) else { return false };
+        // Readers ask for what they lack of a message when they have seen the rest of it.
+        let since = if entry.is_sent() { entry.completed } else { entry.pushed };
+        now.saturating_sub(since) > STALE
+            && self.entries.len() - index > keep_last
+            && entry.is_large()
+            && (entry.is_sent() || entry.sent == 0)
+            && self.entries.iter().skip(index + 1).any(|newer| !newer.is_sent())
+    }
+
+    /// Drops a message that some reader lacks.
+    fn evict(&mut self, index: usize) {
+        self.counters.evicted += self.entries[index].messages();
+        self.skip(index);
+        self.remove(index);
     }
 
     fn expire(&mut self, now: u64, lifetime: u64) {
@@ -471,6 +485,7 @@ impl Outbox {
             if index < self.cursor {
                 self.cursor -= 1;
             }
+            self.advance();
             if self.entries.is_empty() {
                 self.repairs.clear();
             }

@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use gdp_wire::Name;
 
+use super::history::TopicCounters;
 use super::meter::{Meter, nanoseconds};
-use super::outbox::{Chosen, TopicCounters};
+use super::outbox::Chosen;
 use super::topic::{TopicOptions, TopicState, TopicTurn};
 use super::{FRAME_HEADER, Sealed};
 use crate::feedback_wire::Feedback;

@@ -11,25 +11,24 @@ use super::sys;
 
 /// Largest data frame on a UDP link, in bytes: the payload of IPv4 on Ethernet with jumbo frames.
 /// The MTU of a link may be smaller, by QUIC's path MTU discovery.
-pub const UDP_MTU: u32 = 9000 - 20 - 8;
+pub const UDP_MTU: u32 = 9000 - (IPV4_LEN + UDP_LEN) as u32;
 
 /// Path MTU discovery goes up to this at least: the payload of IPv4 on Ethernet.
-const ETHERNET: u16 = 1500 - 20 - 8;
+const ETHERNET: u32 = 1500 - (IPV4_LEN + UDP_LEN) as u32;
 
 /// Asks the kernel for routes from one address, in the network namespace of [`RouteMtu::open`].
 #[derive(Debug)]
-pub struct RouteMtu(Mutex<UdpSocket>);
+pub struct RouteMtu {
+    socket: Mutex<UdpSocket>,
+    interface: Option<String>,
+}
 
 impl RouteMtu {
     /// `bound` and `interface` are those of the port.
     pub fn open(bound: SocketAddr, interface: Option<&str>) -> io::Result<Self> {
         let mut any_port = bound;
         any_port.set_port(0);
-        let socket = UdpSocket::bind(any_port)?;
-        if let Some(interface) = interface {
-            sys::bind_to_interface(socket.as_fd(), interface)?;
-        }
-        Ok(Self(Mutex::new(socket)))
+        Ok(Self { socket: Mutex::new(UdpSocket::bind(any_port)?), interface: interface.map(str::to_owned) })
     }
 
     /// Returns the upper bound for the discovery of the path MTU to a peer: the bytes of a datagram
@@ -40,12 +39,16 @@ impl RouteMtu {
             tracing::debug!(%to, %error, "the MTU of the route to a peer is not known");
             0
         });
-        mtu.clamp(ETHERNET.into(), UDP_MTU) as u16
+        mtu.clamp(ETHERNET, UDP_MTU) as u16
     }
 
     /// Returns the largest datagram in bytes.
     fn ask(&self, to: SocketAddr) -> io::Result<u32> {
-        let socket = self.0.lock();
+        let socket = self.socket.lock();
+        // It loses its interface with its peer.
+        if let Some(interface) = &self.interface {
+            sys::bind_to_interface(socket.as_fd(), interface)?;
+        }
         socket.connect(to)?;
         let is_v4 = to.ip().to_canonical().is_ipv4();
         let (level, option, headers) = match is_v4 {

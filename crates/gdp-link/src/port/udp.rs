@@ -270,7 +270,7 @@ impl AsyncUdpSocket for SharedUdp {
     }
 
     fn max_transmit_segments(&self) -> usize {
-        self.state.max_gso_segments()
+        self.state.max_gso_segments().min(LONGEST_RUN / UDP_MTU as usize)
     }
 
     /// Returns how many of the largest datagrams are a run. A run of smaller ones is not longer.

@@ -16,6 +16,7 @@ use quinn::udp::{EcnCodepoint, RecvMeta};
 use super::batch::{BATCH, OutFrame, RecvBatch, Sent};
 use super::control::Control;
 use super::data::{DataSocket, Medium};
+use super::route_mtu::UDP_MTU;
 use super::sys::{self, RawAddr};
 use super::udp::SharedUdp;
 use super::{InFrame, LinkAddr};
@@ -75,6 +76,14 @@ async fn what_arrives_as_one_piece_is_split_into_the_frames_that_were_sent() {
         }
         assert_eq!((receiver.data.receive_drops(), sender.data.send_drops()), (0, 0));
     }
+}
+
+/// The kernel refuses a longer run, and quinn would take it for sent.
+#[tokio::test]
+async fn a_run_of_the_largest_packets_fits_one_datagram() {
+    let end = End::bind("127.0.0.1:0");
+    let segments = end.udp.max_transmit_segments();
+    assert!(segments > 1 && segments * UDP_MTU as usize <= 65_507, "{segments}");
 }
 
 #[tokio::test]
