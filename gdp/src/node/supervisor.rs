@@ -221,18 +221,34 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. The switch may send on the link after that, so the node receives
-    /// on it before. It also receives on the stale link as long as the switch may send there.
+    /// Makes a link and attaches. Tries once more if the switch reset the new link. On a busy machine
+    /// the stateless reset of a refused link (RFC 9000, section 10.3) arrives together with the
+    /// refusal, and QUIC then does not report the reason.
     async fn attempt(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
+        let mut attachment = self.dial(stale).await?;
+        let mut attached = self.state.attach(&attachment).await;
+        if attached.is_err() && attachment.link.fell_silent() {
+            attachment = self.dial(stale).await?;
+            attached = self.state.attach(&attachment).await;
+        }
+        attached?;
+        self.state.counters.links.add(1);
+        self.state.send_path.set_connection(self.lane(), Connection::Up(attachment.clone()));
+        Ok(attachment)
+    }
+
+    /// Makes a link. The switch may send on it after the node has attached, so the node receives on
+    /// it before. It also receives on the stale link as long as the switch may send there.
+    async fn dial(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.dialler.begin().await?;
         let stale = stale.map(|stale| (stale.attachment.clone(), stale.until.into_std()));
         let mut apart = false;
-        let attachment = loop {
+        loop {
             let link = self.dialler.dial_first(&port, &candidates, apart).await?;
             let attachment = Arc::new(Attachment::new(self.lane, link, self.dialler.path.clone(), &port));
             self.state.commands.send(Command::Attach { attachment: attachment.clone(), stale: stale.clone() });
             if !attachment.link.is_by_pair() || attachment.is_answered(ANSWER).await {
-                break attachment;
+                return Ok(attachment);
             }
             tracing::warn!(
                 to = %attachment.link.addr(),
@@ -241,10 +257,6 @@ impl Supervisor {
             );
             attachment.link.close("frames do not reach the switch by its pair of interfaces");
             apart = true;
-        };
-        self.state.attach(&attachment).await?;
-        self.state.counters.links.add(1);
-        self.state.send_path.set_connection(self.lane(), Connection::Up(attachment.clone()));
-        Ok(attachment)
+        }
     }
 }

@@ -160,7 +160,8 @@ async fn a_budget_is_that_of_its_link() {
     }
     let second = &robot.links()[1];
     let most = 10_000 * (began.elapsed().as_secs() + 2);
-    assert!(second.copies_sent * 1000 < most && second.copies_dropped > 1000, "{second:?}");
+    // 3 MB are 340 frames or more.
+    assert!(second.copies_sent * 1000 < most && second.copies_dropped > 200, "{second:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
