@@ -339,7 +339,8 @@ impl Port {
         self.hello.mtu
     }
 
-    /// Returns the size of the largest data frame that the kernel's route to a peer takes, in bytes.
+    /// Returns the size of the largest data frame that the kernel's route to a peer takes, in
+    /// bytes.
     pub fn route_mtu(&self, to: LinkAddr) -> u32 {
         match (&self.medium, to) {
             (Medium::Udp(_, socket), LinkAddr::Udp(to)) => socket.mtu_upper_bound(to).into(),

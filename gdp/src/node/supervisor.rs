@@ -221,9 +221,9 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Tries once more if the switch reset the new link. On a busy machine
-    /// the stateless reset of a refused link (RFC 9000, section 10.3) arrives together with the
-    /// refusal, and QUIC then does not report the reason.
+    /// Makes a link and attaches. Tries once more if the switch reset the new link. On a busy
+    /// machine the stateless reset of a refused link (RFC 9000, section 10.3) arrives together with
+    /// the refusal, and QUIC then does not report the reason.
     async fn attempt(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
         let mut attachment = self.dial(stale).await?;
         let mut attached = self.state.attach(&attachment).await;

@@ -39,8 +39,8 @@ pub struct History {
 /// A message of at least this size is large, in bytes. A batch of small ones is not.
 pub const LARGE: usize = 1 << 16;
 
-/// Time in nanoseconds after which a large message is stale: since it was published, or since it was
-/// sent and only repairs are left. A path that is so far behind takes newer messages.
+/// Time in nanoseconds after which a large message is stale: since it was published, or since it
+/// was sent and only repairs are left. A path that is so far behind takes newer messages.
 pub const STALE: u64 = 1_000 * MS;
 
 /// The outcomes of a topic's messages and frames.
