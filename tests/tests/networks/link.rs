@@ -113,7 +113,7 @@ async fn jumbo_frames_pass_and_the_smaller_mtu_counts() -> Result<()> {
 async fn a_link_over_udp_finds_the_mtu_of_its_path() -> Result<()> {
     for (near, far, largest) in [(1500, 1500, 1472), (4000, 4000, 3972), (9000, 9000, 8972), (9000, 1500, 1472)] {
         let cable = Cable::new(near)?;
-        let (at, there) = cable.number()?;
+        let (at, there) = cable.assign_addresses()?;
         there.ip(&["link", "set", "s0", "mtu", &far.to_string()])?;
         let endpoint = {
             let _inside = at.enter()?;
@@ -140,7 +140,7 @@ async fn a_link_over_udp_finds_the_mtu_of_its_path() -> Result<()> {
 #[tokio::test]
 async fn the_route_of_a_port_leaves_by_the_interface_of_the_port() -> Result<()> {
     let cable = Cable::new(9000)?;
-    let (at, there) = cable.number()?;
+    let (at, there) = cable.assign_addresses()?;
     let end = |namespace, interface, mac| End { namespace, interface, mac };
     veth(&end(at, "e1", [2, 0, 0, 0, 0, 3]), &end(there, "s1", [2, 0, 0, 0, 0, 4]), 1500)?;
     at.ip(&["addr", "add", "10.9.0.1/24", "dev", "e1"])?;
@@ -184,8 +184,8 @@ impl Cable {
         Ok(Port::ethernet("s0", &PortConfig::switch(self.switch.clone(), LinkIds::new()))?)
     }
 
-    /// Gives the ends addresses, and returns their namespaces.
-    fn number(&self) -> Result<&(Namespace, Namespace)> {
+    /// Assigns both ends addresses, and returns their namespaces.
+    fn assign_addresses(&self) -> Result<&(Namespace, Namespace)> {
         self.namespaces.0.ip(&["addr", "add", "10.8.0.1/24", "dev", "e0"])?;
         self.namespaces.1.ip(&["addr", "add", "10.8.0.2/24", "dev", "s0"])?;
         Ok(&self.namespaces)

@@ -377,6 +377,7 @@ impl Outbox {
         self.cursor + usize::from(going)
     }
 
+    /// Moves the cursor behind what was sent.
     fn advance(&mut self) {
         while self.entries.get(self.cursor).is_some_and(QueuedMessage::is_sent) {
             self.cursor += 1;

@@ -6,7 +6,6 @@ use super::simulation::*;
 use super::*;
 
 const RTT: u64 = 50 * MS;
-const MBIT: u64 = 1_000_000;
 
 /// Uses a link of 200 Mb/s.
 #[test]

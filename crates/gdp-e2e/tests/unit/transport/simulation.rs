@@ -13,6 +13,7 @@ use super::*;
 use crate::feedback_wire::Feedback;
 
 pub const SECOND: u64 = 1_000_000_000;
+pub const MBIT: u64 = 1_000_000;
 pub const PAYLOAD: usize = 1400;
 /// Overhead of a message besides its body: segment headers, message header, proof.
 const OVERHEAD: usize = 180;

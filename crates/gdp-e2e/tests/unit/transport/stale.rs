@@ -5,7 +5,6 @@ use gdp_faults::Faults;
 use super::simulation::*;
 use super::*;
 
-const MBIT: u64 = 1_000_000;
 /// Publishes for 20 s what needs three times the path. Returns the delivered messages, their median
 /// and longest latencies, and the evicted messages.
 fn on_a_narrow_path(bytes: usize, hz: u64, keep_last: usize, rtt: u64, loss: f64) -> (u64, u64, u64, u64) {
