@@ -63,7 +63,8 @@ pub async fn run(
     for (lane, config) in (0..).zip(links) {
         let (identity, home) = (state.identity.clone(), state.home.clone());
         let dialler = Dialler::new(identity, home, lane, config, rekey, network.clone());
-        let supervisor = Supervisor { state: state.clone(), lane, dialler, expedite: ExpediteToken::default() };
+        let supervisor =
+            Supervisor { state: state.clone(), lane, dialler, expedite: ExpediteToken::default(), reason_known: false };
         supervisors.spawn(supervisor.run(timeout, first.clone(), ending.subscribe()));
     }
     drop(first);
@@ -85,6 +86,8 @@ struct Supervisor {
     lane: u8,
     dialler: Dialler,
     expedite: ExpediteToken,
+    /// An attempt since the last link was told why there is none.
+    reason_known: bool,
 }
 
 impl Supervisor {
@@ -99,7 +102,7 @@ impl Supervisor {
             loop {
                 match self.attempt(None).await {
                     Err(error) if error.may_pass() => {
-                        self.state.send_path.still_lost(self.lane(), error.to_string());
+                        self.still_lost(&error);
                         self.pause(&mut backoff).await;
                     }
                     result => return result,
@@ -132,7 +135,7 @@ impl Supervisor {
     async fn supervise(&mut self, timeout: Duration, first: mpsc::UnboundedSender<(u8, Result<(), NodeError>)>) {
         let connected = self.connect(timeout).await;
         if let Err(error) = &connected {
-            self.state.send_path.still_lost(self.lane(), error.to_string());
+            self.still_lost(error);
         }
         let (result, connected) = match connected {
             Ok(attachment) => (Ok(()), Some(attachment)),
@@ -182,7 +185,7 @@ impl Supervisor {
                 Ok(attachment) => return attachment,
                 Err(error) => {
                     tracing::debug!(switch = %self.dialler.target, %error, "no link to the switch");
-                    self.state.send_path.still_lost(self.lane(), error.to_string());
+                    self.still_lost(&error);
                 }
             }
         }
@@ -221,20 +224,26 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches. Tries once more if the switch reset the new link. On a busy
-    /// machine the stateless reset of a refused link (RFC 9000, section 10.3) arrives together with
-    /// the refusal, and QUIC then does not report the reason.
+    /// Makes a link and attaches.
     async fn attempt(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
-        let mut attachment = self.dial(stale).await?;
-        let mut attached = self.state.attach(&attachment).await;
-        if attached.is_err() && attachment.link.fell_silent() {
-            attachment = self.dial(stale).await?;
-            attached = self.state.attach(&attachment).await;
-        }
-        attached?;
+        let attachment = self.dial(stale).await?;
+        let attached = self.state.attach(&attachment).await;
+        attached.map_err(|error| if attachment.link.fell_silent() { NodeError::Reset } else { error })?;
+        self.reason_known = false;
         self.state.counters.links.add(1);
         self.state.send_path.set_connection(self.lane(), Connection::Up(attachment.clone()));
         Ok(attachment)
+    }
+
+    /// Publishes why there is no link. A reset replaces no reason that an earlier attempt was told.
+    /// On a busy machine the stateless reset of a refused link (RFC 9000, section 10.3) may arrive
+    /// together with the refusal, and QUIC then reports the reset only.
+    fn still_lost(&mut self, error: &NodeError) {
+        let is_reset = matches!(error, NodeError::Reset);
+        if !(is_reset && self.reason_known) {
+            self.state.send_path.still_lost(self.lane(), error.to_string());
+        }
+        self.reason_known |= !is_reset;
     }
 
     /// Makes a link. The switch may send on it after the node has attached, so the node receives on
