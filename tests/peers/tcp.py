@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import socket
+import ssl
 import struct
 import sys
 import time
@@ -23,6 +24,8 @@ def arguments():
     p.add_argument("--rate", type=float, default=10)
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
+    p.add_argument("--key", help="the listener's private key, PEM: use TLS")
+    p.add_argument("--certificate", help="the certificate of that key, which the talker trusts, PEM")
     p.add_argument("--gate", help="send warm-up messages, numbered -1, until this file exists")
     return p.parse_args()
 
@@ -46,9 +49,23 @@ def connect():
             time.sleep(0.05)
 
 
-def talk():
-    connection = connect()
+def secured(connection):
+    """Returns the connection, with TLS 1.3 if there is a certificate."""
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if not args.certificate:
+        return connection
+    listens = args.verb == "listen"
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if listens else ssl.PROTOCOL_TLS_CLIENT)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    if listens:
+        context.load_cert_chain(args.certificate, args.key)
+    else:
+        context.load_verify_locations(args.certificate)
+    return context.wrap_socket(connection, server_side=listens, server_hostname=None if listens else args.peer)
+
+
+def talk():
+    connection = secured(connect())
     say(event="matched")
     room = max(0, args.size - HEAD)
     filler = ((args.text + " ") * (room // (len(args.text) + 1) + 1))[:room].encode()
@@ -89,7 +106,7 @@ def read(connection, length):
 def listen():
     listener = socket.create_server(("", PORT))
     say(event="ready")
-    connection, _ = listener.accept()
+    connection = secured(listener.accept()[0])
     while head := read(connection, 4):
         body = read(connection, struct.unpack("!I", head)[0])
         if body is None:

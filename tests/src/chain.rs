@@ -12,7 +12,7 @@
 use anyhow::{Context, Result};
 use gdp_faults::Faults;
 
-use crate::netns::{End, Namespace, veth};
+use crate::netns::{self, End, Namespace, veth};
 use crate::packet::PacketSocket;
 use crate::wire::Wire;
 
@@ -26,11 +26,13 @@ pub struct ChainOptions {
     /// The link (0 is robot – s1) that carries the wire. Native XDP forwards frames past every
     /// capture point. A bridge in the link makes the frames visible and lets a test inject others.
     pub wire: Option<usize>,
+    /// Whether interfaces leave checksums and segmentation to the (virtual) hardware.
+    pub transmit_offloads: bool,
 }
 
 impl Default for ChainOptions {
     fn default() -> Self {
-        Self { switches: 3, mtu: 1500, wire: None }
+        Self { switches: 3, mtu: 1500, wire: None, transmit_offloads: false }
     }
 }
 
@@ -72,6 +74,9 @@ impl Chain {
             match &wire {
                 Some(wire) if options.wire == Some(link) => bridge(wire, &left, &right, options.mtu)?,
                 _ => veth(&left, &right, options.mtu)?,
+            }
+            if options.transmit_offloads {
+                [left, right].iter().try_for_each(netns::enable_transmit_offloads)?;
             }
         }
         Ok(Self { nodes, wire })

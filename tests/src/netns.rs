@@ -203,6 +203,12 @@ pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     Ok(())
 }
 
+/// Leaves checksums and segmentation of what an interface sends to the (virtual) hardware.
+pub fn enable_transmit_offloads(end: &End) -> Result<()> {
+    let mut ethtool = end.namespace.command(Program::Ethtool)?;
+    execute(ethtool.args(["-K", end.interface, "tx", "on", "sg", "on", "tso", "on", "gso", "on"])).map(drop)
+}
+
 /// Deletes namespaces of runs whose process has ended.
 pub fn sweep() -> Result<()> {
     for entry in std::fs::read_dir("/run/netns").into_iter().flatten().flatten() {

@@ -1,4 +1,4 @@
-//! The foreign programs of `tests/peers`, at either end of a chain: DDS, and TCP for comparison.
+//! The foreign programs of `tests/peers`, at either end of a chain: DDS, and TCP and QUIC for comparison.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -13,13 +13,17 @@ use crate::process::Process;
 use crate::tools::Tools;
 use crate::wait::check_interrupt;
 
-/// The DDS implementation of a program, or TCP.
+/// The DDS implementation of a program, or a connection to the listener at [`Traffic::peer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vendor {
     Cyclone,
     FastDds,
-    /// A connection between the two programs, to the listener's [`Traffic::peer`].
+    /// A TCP connection, with [`Traffic::tls`] or in clear.
     Tcp,
+    /// QUIC, with a stream for each topic. Needs [`Traffic::tls`].
+    Quic,
+    /// QUIC, with a stream for each message. Needs [`Traffic::tls`].
+    QuicStreams,
 }
 
 /// The messages of a talker, and the QoS of both ends.
@@ -41,10 +45,19 @@ pub struct Traffic {
     /// Uses `lo` alone, as on a robot whose other interfaces are unstable. Cyclone DDS only.
     pub on_loopback: bool,
     /// Number of topics, used in turn. All names but the first have their number appended. Fast DDS
-    /// only.
+    /// and QUIC only.
     pub topics: u32,
     /// Announces a ROS node of this name, which some bridges require. Cyclone DDS only.
     pub node: Option<String>,
+    /// TCP and QUIC only.
+    pub tls: Option<Tls>,
+}
+
+/// The listener's key, and its certificate, which the talker trusts. Both are PEM files.
+#[derive(Clone, Debug)]
+pub struct Tls {
+    pub key: PathBuf,
+    pub certificate: PathBuf,
 }
 
 /// Configuration that restricts Cyclone DDS to `lo`.
@@ -66,6 +79,7 @@ impl Default for Traffic {
             on_loopback: false,
             topics: 1,
             node: None,
+            tls: None,
         }
     }
 }
@@ -197,6 +211,7 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
             python.arg(tools.peer("tcp.py"));
             python
         }
+        Vendor::Quic | Vendor::QuicStreams => at.command(tools.quic()?)?,
     };
     command.arg(verb).args(["--depth", &traffic.depth.to_string()]);
     for (wanted, flag) in [(traffic.best_effort, "--best-effort"), (traffic.transient_local, "--transient-local")] {
@@ -209,6 +224,12 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
     }
     if traffic.topics > 1 {
         command.args(["--topics", &traffic.topics.to_string()]);
+    }
+    if vendor == Vendor::QuicStreams {
+        command.arg("--stream-each");
+    }
+    if let Some(Tls { key, certificate }) = &traffic.tls {
+        command.arg("--key").arg(key).arg("--certificate").arg(certificate);
     }
     if let Some(node) = &traffic.node {
         command.args(["--node", node]);

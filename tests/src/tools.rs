@@ -74,6 +74,11 @@ impl Tools {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("peers").join(file)
     }
 
+    /// Returns the path of the compiled QUIC peer.
+    pub fn quic(&self) -> Result<PathBuf> {
+        existing(self.executables.join("examples/quic-peer"), "cargo xtask bench wire")
+    }
+
     /// Returns the path of the compiled Fast DDS peer that exchanges any type.
     pub fn fastdds_any(&self) -> Result<PathBuf> {
         existing(self.target.join("peers/fastdds-any"), "cargo xtask test")

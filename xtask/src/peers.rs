@@ -9,7 +9,8 @@ use anyhow::{Context, Result};
 use gdp_tests::programs::{Executable as _, Program};
 
 use crate::setup::GENCPP;
-use crate::{shell, workspace};
+use crate::shell;
+use crate::workspace::{self, Profile};
 
 /// Compiles the peers to `target/peers` if their sources are newer.
 pub fn build() -> Result<()> {
@@ -98,6 +99,13 @@ pub fn build_zenoh() -> Result<PathBuf> {
     command.args(["build", "--release", "--locked", "--manifest-path"]).arg(manifest).arg("--target-dir").arg(&out);
     shell::say_and_run(&mut command)?;
     Ok(out.join("release/zenoh-bridge"))
+}
+
+/// Compiles the QUIC peer, with the executables' profile.
+pub fn build_quic(profile: Profile) -> Result<()> {
+    let mut command = shell::cargo();
+    command.args(["build", "--profile", profile.name(), "--package", "gdp-tests", "--example", "quic-peer"]);
+    shell::say_and_run(&mut command)
 }
 
 /// Compiles one peer. `interface` is the IDL file to generate code from.

@@ -249,7 +249,11 @@ impl Link {
     /// refusal counts as a response.
     pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
         // The reason of a closed link is more specific than the error of a stream.
-        let said = |error| self.close_reason().map_or(error, LinkError::Closed);
+        let said = |error| match self.0.connection.close_reason() {
+            Some(quinn::ConnectionError::Reset) => LinkError::Reset,
+            Some(reason) => LinkError::Closed(self.describe(&reason)),
+            None => error,
+        };
         streams::request(&self.0.connection, request).await.map_err(said)
     }
 

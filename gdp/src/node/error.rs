@@ -38,8 +38,6 @@ pub enum NodeError {
     Seal(#[from] SealError),
     #[error("there is no link to the switch at the moment: {0}")]
     Detached(String),
-    #[error("the switch reset the new link, or fell silent, and gave no reason")]
-    Reset,
     #[error("{name:#} is {stated} by this node already; share the handle")]
     Already { name: Name, stated: Stated },
     #[error(transparent)]
@@ -79,11 +77,7 @@ impl NodeError {
             Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
             // The credentials may be renewed.
             Self::Domain(_) => true,
-            Self::Detached(_)
-            | Self::Reset
-            | Self::NoServer(_)
-            | Self::NoInstance { .. }
-            | Self::InstanceLeft { .. } => true,
+            Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,
             Self::TooManyCalls(_) | Self::Unflushed(_) => true,
             Self::NotASwitch(_) | Self::Cert(_) | Self::Seal(_) | Self::Already { .. } | Self::Keys(_) => false,
             Self::Protocol(_) | Self::Links(_) | Self::State(_) | Self::Closed => false,

@@ -24,7 +24,7 @@ use super::pause::{BACKOFF, ExpediteToken};
 use super::requests::{answer, update_rib};
 use super::state::State;
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
-use gdp_link::link::RekeySchedule;
+use gdp_link::link::{LinkError, RekeySchedule};
 use gdp_util::backoff::Backoff;
 
 /// A link with a silent switch, in use until this time at the latest.
@@ -227,8 +227,7 @@ impl Supervisor {
     /// Makes a link and attaches.
     async fn attempt(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
         let attachment = self.dial(stale).await?;
-        let attached = self.state.attach(&attachment).await;
-        attached.map_err(|error| if attachment.link.fell_silent() { NodeError::Reset } else { error })?;
+        self.state.attach(&attachment).await?;
         self.reason_known = false;
         self.state.counters.links.add(1);
         self.state.send_path.set_connection(self.lane(), Connection::Up(attachment.clone()));
@@ -237,9 +236,9 @@ impl Supervisor {
 
     /// Publishes why there is no link. A reset replaces no reason that an earlier attempt was told.
     /// On a busy machine the stateless reset of a refused link (RFC 9000, section 10.3) may arrive
-    /// together with the refusal, and QUIC then reports the reset only.
+    /// together with the refusal, and QUIC then reports only the reset.
     fn still_lost(&mut self, error: &NodeError) {
-        let is_reset = matches!(error, NodeError::Reset);
+        let is_reset = matches!(error, NodeError::Link(LinkError::Reset));
         if !(is_reset && self.reason_known) {
             self.state.send_path.still_lost(self.lane(), error.to_string());
         }

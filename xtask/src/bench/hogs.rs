@@ -1,16 +1,16 @@
 //! Measures ROS 2 messages through two proxies while busy loops compete for the processors.
-//! Compares them with a TCP connection over kernel routers, in turn (`ros.rs` has both paths).
+//! Compares them with a TCP connection over kernel routers, in turn (`paths.rs` has both).
 //!
 //! A figure is the median of the rounds. No cable loses a frame, so each repair is needless.
 
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use gdp_tests::peers;
 use serde::Serialize;
 
-use super::ros::{Bench, Hog, LOAD, Load, Measured, RosRoute};
-use crate::workspace::{self, Profile};
+use super::paths::{Bench, Cables, Hog, LOAD, Load, Measured, Route};
+use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -31,7 +31,7 @@ pub struct Options {
     bytes: Vec<usize>,
 }
 
-const ROUTES: [RosRoute; 2] = [RosRoute::Gdp, RosRoute::Tcp];
+const ROUTES: [Route; 2] = [Route::Gdp, Route::Tcp];
 
 const LOADS: [Load; 3] = [
     Load { bytes: 1_000_000, rate: 30.0, ..LOAD },
@@ -42,7 +42,7 @@ const LOADS: [Load; 3] = [
 /// A load beside a number of busy loops. Arrays have the rounds' figures.
 #[derive(Serialize)]
 struct HogRow {
-    route: RosRoute,
+    route: Route,
     bytes: usize,
     rate: f64,
     hogs: u32,
@@ -55,21 +55,18 @@ struct HogRow {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    if !workspace::is_root() {
-        bail!("network namespaces need root");
-    }
     let hogs = if options.hogs.is_empty() { vec![1, 2, 4] } else { options.hogs };
     let bench = Bench::prepare(&ROUTES, Profile::Dist)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
-        let count = (load.rate * f64::from(options.seconds)).ceil() as u64;
+        let count = load.count(options.seconds);
         for &hogs in &hogs {
             let mut samples = ROUTES.map(|_| Vec::new());
             for round in 0..options.rounds {
                 for (route, all) in ROUTES.iter().zip(&mut samples) {
                     eprintln!("round {round}: {count} messages of {} B, {hogs} busy loops", load.bytes);
                     let _hogs = Hog::several(hogs)?;
-                    all.push(bench.measure(*route, load, count)?);
+                    all.push(bench.measure(*route, &Cables::default(), load, count)?);
                 }
             }
             rows.extend(ROUTES.iter().zip(&samples).map(|(route, all)| row(*route, load, hogs, count, all)));
@@ -83,7 +80,7 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
-fn row(route: RosRoute, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> HogRow {
+fn row(route: Route, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> HogRow {
     let at = |measured: &Measured, percent| {
         let mut sorted: Vec<Duration> = measured.received.iter().map(|message| message.latency).collect();
         sorted.sort();
@@ -115,7 +112,7 @@ fn print_table(rows: &[HogRow]) {
         "path", "bytes", "Hz", "loops", "received", "sent", "p50 ms", "p99 ms", "repairs"
     );
     for row in rows {
-        let path = if row.route == RosRoute::Gdp { "gdp" } else { "tcp" };
+        let path = if row.route == Route::Gdp { "gdp" } else { "tcp" };
         println!(
             "{path:<6} {:>8} {:>5} {:>5} {:>10} {:>6} {:>9.2} {:>9.2} {:>8}",
             row.bytes,

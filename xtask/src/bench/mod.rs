@@ -11,9 +11,11 @@ mod hogs;
 mod idle;
 mod latency;
 mod local;
+mod paths;
 mod program;
 mod ros;
 mod transport;
+mod wire;
 
 use anyhow::Result;
 
@@ -52,6 +54,9 @@ enum Figure {
     /// Measure throughput, CPU time and latency of this SDK's messages, compared with quinn and TLS
     /// over TCP
     Transport(transport::Options),
+    /// Measure messages over encrypted paths and several kinds of cables, compared with zenoh
+    /// bridges, TLS over TCP, and QUIC
+    Wire(wire::Options),
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -66,5 +71,6 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Idle(options) => idle::run(options),
         Figure::Calls(options) => calls::run(options),
         Figure::Transport(options) => transport::run(options),
+        Figure::Wire(options) => wire::run(options),
     }
 }

@@ -29,6 +29,8 @@ pub enum LinkError {
     NoFreeId,
     #[error("the link is closed: {0}")]
     Closed(String),
+    #[error("the peer reset the link and gave no reason")]
+    Reset,
     #[error(transparent)]
     Codec(#[from] CodecError),
     #[error("the peer broke the protocol: {0}")]
@@ -37,7 +39,10 @@ pub enum LinkError {
 
 impl From<quinn::ConnectionError> for LinkError {
     fn from(error: quinn::ConnectionError) -> Self {
-        Self::Closed(close_reason(&error))
+        match error {
+            quinn::ConnectionError::Reset => Self::Reset,
+            error => Self::Closed(close_reason(&error)),
+        }
     }
 }
 
