@@ -8,6 +8,7 @@ mod build;
 mod check;
 mod debug_symbols;
 mod demo;
+mod eval;
 mod fresh;
 mod fuzz;
 mod pairings;
@@ -55,6 +56,8 @@ enum Verb {
     Fresh(fresh::Options),
     /// Run a benchmark, and print a table or JSON (needs root)
     Bench(bench::Options),
+    /// Make a figure of the paper's evaluation again, and print a table or JSON (needs root)
+    Eval(eval::Options),
 }
 
 fn main() -> ExitCode {
@@ -70,6 +73,7 @@ fn main() -> ExitCode {
         Verb::Soak(options) => soak::run(options),
         Verb::Fresh(options) => fresh::run(options),
         Verb::Bench(options) => bench::run(options),
+        Verb::Eval(options) => eval::run(options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -44,6 +44,19 @@ pub fn run<B>(bench: &B, rows: &[(&str, Row<B>)], wanted: &Wanted) -> Result<()>
             figures.extend(row);
         }
     }
+    finish(figures, wanted)
+}
+
+/// Prints figures that were measured together, and draws them.
+pub fn report(figures: Vec<Figure>, wanted: &Wanted) -> Result<()> {
+    if !wanted.json {
+        figures.iter().for_each(|figure| print!("{figure}"));
+    }
+    finish(figures, wanted)
+}
+
+/// Draws the figures, and prints them all as JSON.
+fn finish(figures: Vec<Figure>, wanted: &Wanted) -> Result<()> {
     if let Some(folder) = wanted.plots {
         plot::draw(&figures, folder)?;
     }

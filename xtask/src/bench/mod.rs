@@ -11,7 +11,7 @@ mod hogs;
 mod idle;
 mod latency;
 mod local;
-mod paths;
+pub mod paths;
 mod program;
 mod ros;
 mod transport;

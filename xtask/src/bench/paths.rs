@@ -212,7 +212,7 @@ impl Bench {
             let options =
                 FabricOptions { topics, udp: route == Route::GdpUdp, chain: cables.chain, ..Default::default() };
             let mut fabric = Fabric::start(self.tools.clone(), options)?;
-            let _wire = cables.disturb(&fabric.chain)?;
+            let wire = cables.disturb(&fabric.chain)?;
             fabric.start_proxies()?;
             let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
             let between = Between {
@@ -220,14 +220,16 @@ impl Bench {
                 switches: fabric.switches.iter().map(|switch| &switch.process).collect(),
             };
             let measured = converse(&self.tools, vendor, ends, &between, folder)?;
+            check(wire.as_ref());
             return Ok(Measured { repeated: Some(repeated(&fabric)), ..measured });
         }
         let chain = cables.routers()?;
-        let _wire = cables.disturb(&chain)?;
+        let wire = cables.disturb(&chain)?;
         let (robot, cloud) = chain.ip_ends();
         let to = |peer: &str| Traffic { peer: Some(peer.to_owned()), ..traffic.clone() };
         let run = |vendor, talks: &Traffic, hears: &Traffic, between: &Between<'_>| {
-            converse(&self.tools, vendor, [(chain.robot(), talks), (chain.cloud(), hears)], between, folder)
+            let ends = [(chain.robot(), talks), (chain.cloud(), hears)];
+            converse(&self.tools, vendor, ends, between, folder).inspect(|_| check(wire.as_ref()))
         };
         let over_tls = |vendor| {
             let Secrets { key, certificate } = Secrets::make(&cloud, folder)?;
@@ -268,6 +270,9 @@ struct Between<'a> {
     switches: Vec<&'a Process>,
 }
 
+/// Time of warm-up messages after the first one has arrived.
+const SETTLE: Duration = Duration::from_millis(500);
+
 /// Runs one conversation.
 fn converse(
     tools: &Tools,
@@ -288,6 +293,8 @@ fn converse(
             return Ok(Measured::default());
         }
     };
+    // What has waited for the listener arrives first, in portions.
+    std::thread::sleep(SETTLE);
     let system_calls = SystemCalls::of(&between.proxies)?;
     let (before, woken, machine) = (between.cpu()?, between.wakeups()?, MachineTime::now()?);
     both.open()?;
@@ -309,6 +316,13 @@ impl Between<'_> {
 
     fn wakeups(&self) -> Result<u64> {
         self.proxies.iter().map(|process| Ok(process.wakeups()?.values().sum::<u64>())).sum()
+    }
+}
+
+/// Says if the cable with faults lost frames that it should have carried.
+fn check(wire: Option<&Wire>) {
+    if let Some(Err(error)) = wire.map(Wire::check) {
+        eprintln!("not comparable: {error:#}");
     }
 }
 

@@ -4,6 +4,7 @@
 //! not slow the path down. Many losses in a round do, and so do marks. `docs/decisions.md` explains
 //! why no existing controller is used.
 
+use super::delivery_rate::RateSample;
 use super::reports::SOME_BYTES;
 use super::{FRAME_HEADER, MS};
 
@@ -68,8 +69,7 @@ pub struct Sample {
     pub rtt: Option<u64>,
     /// Bytes received since the previous report.
     pub delivered: u64,
-    /// Nanoseconds in which they were sent or received, whichever is longer.
-    pub interval: u64,
+    pub rate: RateSample,
     /// The topic had nothing to send in between, so the sample says little about the path.
     pub paused: bool,
     /// Bytes that were requested again.
@@ -128,6 +128,8 @@ pub struct Path {
     recent_since: u64,
     /// Time until which a local path is measured as every other.
     congested_until: u64,
+    /// See [`Self::has_overflowed`].
+    overflowed_until: u64,
     /// The state before the reductions of the last rounds.
     undo: Option<Undo>,
     /// Number of bytes that were in flight when reports stopped.
@@ -141,6 +143,7 @@ struct Undo {
     phase: Phase,
     ceiling: Option<u64>,
     congested_until: u64,
+    overflowed_until: u64,
     /// Bytes of the rounds that reduced the rate: received, requested again, and needlessly so.
     seen: u64,
     lost: u64,
@@ -169,6 +172,7 @@ impl Path {
             recent_rtt: [0; 2],
             recent_since: 0,
             congested_until: 0,
+            overflowed_until: 0,
             undo: None,
             silent: None,
         }
@@ -214,9 +218,10 @@ impl Path {
         self.round_lost += sample.lost;
         self.undo_needless(sample.needless);
         self.round_marks += sample.marks;
-        if sample.delivered > 0 && sample.interval > 0 {
-            let rate = bytes_per_second(sample.delivered, sample.interval);
-            if !sample.paused || rate > self.rates.get() {
+        let RateSample { bytes, interval, paused } = sample.rate;
+        if bytes > 0 && interval > 0 {
+            let rate = bytes_per_second(bytes, interval);
+            if !paused || rate > self.rates.get() {
                 self.rates.add(self.round, rate);
             }
         }
@@ -224,7 +229,7 @@ impl Path {
         if sample.acknowledged >= self.round_ends {
             congested = self.end_round(sample.paused);
             if congested {
-                self.congested_until = now + LOCAL_AGAIN;
+                (self.congested_until, self.overflowed_until) = (now + LOCAL_AGAIN, now + LOCAL_AGAIN);
             }
             self.undo.take_if(|undo| self.round > undo.round + UNDO_ROUNDS);
             self.round += 1;
@@ -271,6 +276,12 @@ impl Path {
     fn is_local(&self) -> bool {
         let is_short = self.min_rtt.is_some_and(|rtt| rtt < LOCAL_RTT);
         is_short && self.last_report.is_some_and(|now| now >= self.congested_until)
+    }
+
+    /// Returns whether a queue of the path has overflowed, or said so by marks, within
+    /// [`LOCAL_AGAIN`] before the last report.
+    pub fn has_overflowed(&self) -> bool {
+        self.last_report.is_some_and(|now| now < self.overflowed_until)
     }
 
     /// Returns the burst in bytes when nothing is in flight and nothing was sent for a round trip.
@@ -341,8 +352,9 @@ impl Path {
         let Some(undo) = &mut self.undo else { return };
         undo.needless += needless - current;
         if !is_lossy(undo.lost.saturating_sub(undo.needless), undo.seen) {
-            let Undo { phase, ceiling, congested_until, .. } = *undo;
-            (self.phase, self.ceiling, self.congested_until) = (phase, ceiling, congested_until);
+            let Undo { phase, ceiling, congested_until, overflowed_until, .. } = *undo;
+            (self.phase, self.ceiling) = (phase, ceiling);
+            (self.congested_until, self.overflowed_until) = (congested_until, overflowed_until);
             self.undo = None;
         }
     }
@@ -352,9 +364,16 @@ impl Path {
         let lossy = is_lossy(self.round_lost, seen);
         let congested = self.round_marks > 0 || lossy;
         if lossy && self.round_marks == 0 {
-            let Self { round, phase, ceiling, congested_until, .. } = *self;
-            let before = Undo { round, phase, ceiling, congested_until, seen: 0, lost: 0, needless: 0 };
-            let undo = self.undo.get_or_insert(before);
+            let undo = self.undo.get_or_insert(Undo {
+                round: self.round,
+                phase: self.phase,
+                ceiling: self.ceiling,
+                congested_until: self.congested_until,
+                overflowed_until: self.overflowed_until,
+                seen: 0,
+                lost: 0,
+                needless: 0,
+            });
             (undo.seen, undo.lost) = (undo.seen + seen, undo.lost + self.round_lost);
         }
         if congested {

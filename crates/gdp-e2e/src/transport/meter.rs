@@ -28,46 +28,6 @@ impl Meter {
     }
 }
 
-/// A measurement of bytes per second over about the last second.
-#[derive(Clone, Copy, Debug)]
-pub struct Speed {
-    since: u64,
-    bytes: u64,
-    /// Bytes in the previous step.
-    before: u64,
-}
-
-/// Length of a step of [`Speed`], in nanoseconds.
-const STEP: u64 = 500_000_000;
-
-impl Speed {
-    pub fn new(now: u64) -> Self {
-        Self { since: now, bytes: 0, before: 0 }
-    }
-
-    pub fn add(&mut self, now: u64, bytes: u64) {
-        self.advance(now);
-        self.bytes += bytes;
-    }
-
-    /// Returns the bytes per second.
-    pub fn get(&mut self, now: u64) -> u64 {
-        self.advance(now);
-        let over = STEP + now.saturating_sub(self.since);
-        (u128::from(self.before + self.bytes) * 1_000_000_000 / u128::from(over)) as u64
-    }
-
-    /// Starts the step of this time. Threads read the clock before they lock, so an earlier time
-    /// may follow a later one.
-    fn advance(&mut self, now: u64) {
-        let steps = now.saturating_sub(self.since) / STEP;
-        if steps > 0 {
-            self.before = if steps == 1 { self.bytes } else { 0 };
-            (self.bytes, self.since) = (0, self.since + steps * STEP);
-        }
-    }
-}
-
 /// Returns the time for `bytes` at `rate` bytes a second.
 pub fn nanoseconds(bytes: u64, rate: u64) -> u64 {
     (u128::from(bytes) * 1_000_000_000 / u128::from(rate.max(1))).min(u128::from(u64::MAX)) as u64

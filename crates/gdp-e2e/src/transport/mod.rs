@@ -35,12 +35,14 @@
 mod arrival;
 mod black_hole;
 mod congestion;
+mod delivery_rate;
 mod history;
 mod inbound;
 mod meter;
 mod outbox;
 mod peers;
 mod reordering;
+mod repair_budget;
 mod reports;
 mod sealed;
 mod sent_log;
@@ -64,6 +66,9 @@ const FRAME_HEADER: u64 = size_of::<gdp_wire::Header>() as u64;
 #[cfg(test)]
 #[path = "../../tests/unit/transport/cases.rs"]
 mod cases;
+#[cfg(test)]
+#[path = "../../tests/unit/transport/gigabit.rs"]
+mod gigabit;
 #[cfg(test)]
 #[path = "../../tests/unit/transport/properties.rs"]
 mod properties;

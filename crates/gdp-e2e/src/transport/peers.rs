@@ -6,8 +6,9 @@ use gdp_wire::Name;
 
 use super::black_hole::Suspicion;
 use super::congestion::{Path, Sample};
-use super::meter::Meter;
+use super::delivery_rate::DeliveryRate;
 use super::outbox::Outbox;
+use super::repair_budget::RepairBudget;
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position};
 
@@ -23,15 +24,6 @@ const SILENT: u32 = 6;
 /// Time for which publishers do not wait for a reader that fell behind a full history. Doubles each
 /// time.
 const LAG: u64 = 4_000 * MS;
-
-/// Minimum repair rate of a reader, in bytes per second. The regular rate is a quarter of the
-/// topic's rate of first transmissions, or a sixteenth for a lagging reader. [`REPAIR_BURST`] is
-/// the burst in nanoseconds.
-const LEAST_REPAIR_RATE: u64 = 256 << 10;
-const REPAIR_BURST: u64 = 500 * MS;
-
-/// Cost in bytes of each frame that a Nack requests, in addition to its repair.
-const LOOK: u64 = 16;
 
 /// The parts of a report that concern the sender.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +51,7 @@ pub struct ReaderState {
     silent: u32,
     /// The latest sent frame that the reader has reported.
     echo: Option<Sent>,
-    reported_at: u64,
+    delivery_rate: DeliveryRate,
     received_bytes: u64,
     needless_bytes: u64,
     ce: u32,
@@ -67,7 +59,7 @@ pub struct ReaderState {
     arrived: u64,
     /// Time of the last increase of `arrived`.
     progress_at: u64,
-    repairs: Meter,
+    repairs: RepairBudget,
     pub suspicion: Suspicion,
     /// Start of the time that losses count for. Earlier losses are handled, or say nothing about
     /// the present path.
@@ -76,8 +68,9 @@ pub struct ReaderState {
 }
 
 impl ReaderState {
-    /// Returns the state of a reader that joins at `now`, after `sent` bytes of the topic.
-    pub fn new(now: u64, acknowledged: u64, sent: u64) -> Self {
+    /// Returns the state of a reader that joins at `now`, after `sent` bytes of the topic, `fresh`
+    /// of them for the first time.
+    pub fn new(now: u64, acknowledged: u64, sent: u64, fresh: u64) -> Self {
         Self {
             path: Path::new(),
             acknowledged,
@@ -87,13 +80,13 @@ impl ReaderState {
             waited_since: None,
             silent: 0,
             echo: None,
-            reported_at: now,
+            delivery_rate: DeliveryRate::new(now),
             received_bytes: 0,
             needless_bytes: 0,
             ce: 0,
             arrived: sent,
             progress_at: now,
-            repairs: Meter::new(now),
+            repairs: RepairBudget::new(now, fresh),
             suspicion: Suspicion::default(),
             reported_since: now,
             lost: 0,
@@ -162,12 +155,12 @@ impl ReaderState {
         // A reader's claim to have received more than was sent is ignored.
         let most = sent.saturating_sub(self.echo.map_or(0, |echo| echo.total).min(before));
         let delivered = report.received_bytes.saturating_sub(self.received_bytes).min(most);
-        let sent_in = self.echo.map_or(0, |before| echo.at.saturating_sub(before.at));
+        let rate = self.delivery_rate.add(now, delivered, &echo);
         let sample = Sample {
             rtt: (repeated.is_none() && arrived > before)
                 .then(|| now.saturating_sub(echo.at).saturating_sub(report.delay)),
             delivered,
-            interval: now.saturating_sub(self.reported_at).max(sent_in),
+            rate,
             paused: self.echo.is_some_and(|before| before.pauses != echo.pauses),
             lost: std::mem::take(&mut self.lost),
             needless: report.needless_bytes.saturating_sub(self.needless_bytes).min(most),
@@ -179,7 +172,6 @@ impl ReaderState {
         if congested {
             self.reported_since = now;
         }
-        self.reported_at = now;
         (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
         self.needless_bytes = report.needless_bytes;
         if self.echo.is_none_or(|before| echo.total > before.total) {
@@ -188,14 +180,10 @@ impl ReaderState {
         (sample.marks, congested)
     }
 
-    /// Returns whether a repair of `bytes` bytes is within the reader's budget. `rate` is the
-    /// topic's rate of first transmissions.
-    pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
-        let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
-        let cost = if allowed { bytes + LOOK } else { LOOK };
-        let share = if self.lagging { rate / 16 } else { rate / 4 };
-        self.repairs.take(now, cost, share.max(LEAST_REPAIR_RATE));
-        allowed
+    /// Pays for a repair of `bytes` bytes, if it is within the reader's budget. `fresh`: the topic's
+    /// bytes of first transmissions.
+    pub fn pay(&mut self, now: u64, bytes: u64, fresh: u64) -> bool {
+        self.repairs.pay(now, bytes, fresh, self.lagging)
     }
 
     /// Records that the reader requested `bytes` bytes, which were sent at `sent_at`.

@@ -4,7 +4,7 @@ use gdp_wire::Name;
 
 use super::black_hole::{FrameLimit, LEAST_PAYLOAD};
 use super::history::{History, Overflow, Reliability};
-use super::meter::{Meter, Speed, nanoseconds};
+use super::meter::{Meter, nanoseconds};
 use super::outbox::{Chosen, Outbox};
 use super::peers::{Peers, ReaderState, Report, SILENCE_STEP};
 use super::sent_log::{Sent, SentLog};
@@ -24,6 +24,9 @@ const BURST_BYTES: u64 = 2 * 1500;
 /// nanoseconds at most. Otherwise a thread with a third of a processor would send at a third of the
 /// rate. The rate measured next would be lower still.
 const MOST_LATE: u64 = 25 * MS;
+
+/// The same in bytes for a path with a queue that has overflowed.
+const LATE_BYTES: u64 = 64 << 10;
 
 /// If other topics of the uplink delay a topic for longer, its samples say nothing about the path.
 const HELD_UP: u64 = 20 * MS;
@@ -83,8 +86,8 @@ pub struct TopicState {
     late: u64,
     /// Bytes to send without pacing after a pause.
     at_once: u64,
-    /// Rate of first transmissions.
-    fresh: Speed,
+    /// Bytes of first transmissions.
+    fresh: u64,
     /// The reader whose path determines the pace.
     leader: Option<Name>,
     heartbeat_at: u64,
@@ -124,7 +127,7 @@ impl TopicState {
             options: TopicOptions { class: options.class.min(7), ..options },
             outbox: Outbox::new(options.reliability, options.history),
             peers: Peers::default(),
-            nobody: ReaderState::new(now, 0, 0),
+            nobody: ReaderState::new(now, 0, 0, 0),
             log: SentLog::default(),
             sent: 0,
             sent_at: now,
@@ -134,7 +137,7 @@ impl TopicState {
             paced_until: None,
             late: 0,
             at_once: 0,
-            fresh: Speed::new(now),
+            fresh: 0,
             leader: None,
             heartbeat_at: u64::MAX,
             heartbeat_interval: FIRST_HEARTBEAT,
@@ -185,13 +188,13 @@ impl TopicState {
 
     pub fn join(&mut self, now: u64, reader: Name) -> bool {
         let known = self.outbox.last();
-        self.peers.join(reader, ReaderState::new(now, known, self.sent))
+        self.peers.join(reader, ReaderState::new(now, known, self.sent, self.fresh))
     }
 
     /// Starts the state of a restarted reader anew, which gets the messages from sequence `from`
     /// (at least 1) on. Returns true if this makes room for a waiting publisher.
     pub fn restart(&mut self, now: u64, reader: &Name, from: u64) -> bool {
-        if !self.peers.restart(reader, ReaderState::new(now, from.saturating_sub(1), self.sent)) {
+        if !self.peers.restart(reader, ReaderState::new(now, from.saturating_sub(1), self.sent, self.fresh)) {
             return false;
         }
         self.leader = None;
@@ -246,7 +249,9 @@ impl TopicState {
             return None;
         }
         if let Some(until) = self.paced_until.take() {
-            self.late = now.saturating_sub(until).min(MOST_LATE);
+            let has_overflowed = self.leader().is_some_and(|leader| leader.path().has_overflowed());
+            let most = if has_overflowed { nanoseconds(LATE_BYTES, rate).min(MOST_LATE) } else { MOST_LATE };
+            self.late = now.saturating_sub(until).min(most);
         }
         if waited > HELD_UP {
             self.pauses += 1;
@@ -261,7 +266,7 @@ impl TopicState {
         self.pace.take_late(now, (bytes as u64).saturating_sub(self.at_once), rate, self.late);
         self.at_once = self.at_once.saturating_sub(bytes as u64);
         if !chosen.repair {
-            self.fresh.add(now, bytes as u64);
+            self.fresh += bytes as u64;
             let position = chosen.message.position(chosen.frame);
             let under_way = self.leader().unwrap_or(&self.nobody).under_way(self.sent);
             self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
@@ -372,11 +377,11 @@ impl TopicState {
 
     /// Queues repairs. Segments from `in_flight` on were sent after the request.
     fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing], in_flight: Option<Position>) -> Option<u64> {
-        let rate = self.fresh.get(now);
+        let fresh = self.fresh;
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
-            let queued = self.outbox.ask(range, too_early, in_flight, |bytes| peer.pay(now, bytes, rate));
+            let queued = self.outbox.ask(range, too_early, in_flight, |bytes| peer.pay(now, bytes, fresh));
             let first = Position { sequence: range.sequence, index: range.first };
             peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
         }

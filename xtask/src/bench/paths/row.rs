@@ -24,7 +24,7 @@ pub struct PathRow {
     /// Number of messages that arrived damaged.
     damaged: u64,
     /// Latency from `write` to the callback, in microseconds.
-    latency_us: Latency,
+    pub latency_us: Latency,
     /// Processor time of proxies, bridges and switches per message in microseconds, or `None` if
     /// there are none.
     cpu_us: Option<f64>,
@@ -39,8 +39,8 @@ pub struct PathRow {
 }
 
 #[derive(Serialize)]
-struct Latency {
-    p50: f64,
+pub struct Latency {
+    pub p50: f64,
     p90: f64,
     p99: f64,
     max: f64,

@@ -18,7 +18,8 @@ fn steady(rate: u64) -> (Path, u64, u64) {
 /// A round trip in which everything arrived.
 fn sample(rate: u64, sent: u64) -> Sample {
     let delivered = bytes_in(rate, RTT);
-    Sample { rtt: Some(RTT), delivered, interval: RTT, acknowledged: sent, sent, ..Sample::default() }
+    let rate = RateSample { bytes: delivered, interval: RTT, paused: false };
+    Sample { rtt: Some(RTT), delivered, rate, acknowledged: sent, sent, ..Sample::default() }
 }
 
 /// As in Eifel: what arrived twice was not lost.
