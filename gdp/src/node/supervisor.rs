@@ -86,7 +86,7 @@ struct Supervisor {
     lane: u8,
     dialler: Dialler,
     expedite: ExpediteToken,
-    /// An attempt since the last link was told why there is none.
+    /// The switch has told why there is no link.
     reason_known: bool,
 }
 
@@ -150,6 +150,7 @@ impl Supervisor {
         loop {
             let reason = self.serve(attachment.clone()).await;
             tracing::warn!(switch = %self.dialler.target, %reason, "lost the link to the switch");
+            self.reason_known = !attachment.link.fell_silent();
             attachment = if attachment.link.fell_silent() {
                 self.state.send_path.set_connection(self.lane(), Connection::Stale(attachment.clone(), reason));
                 let stale = StaleLink { attachment, until: Instant::now() + GRACEFUL_RESTART_TIME };
@@ -234,15 +235,15 @@ impl Supervisor {
         Ok(attachment)
     }
 
-    /// Publishes why there is no link. A reset replaces no reason that an earlier attempt was told.
-    /// On a busy machine the stateless reset of a refused link (RFC 9000, section 10.3) may arrive
+    /// Publishes why there is no link. A reset replaces no reason that the switch has told. On a
+    /// busy machine the stateless reset of a refused link (RFC 9000, section 10.3) may arrive
     /// together with the refusal, and QUIC then reports only the reset.
     fn still_lost(&mut self, error: &NodeError) {
         let is_reset = matches!(error, NodeError::Link(LinkError::Reset));
         if !(is_reset && self.reason_known) {
             self.state.send_path.still_lost(self.lane(), error.to_string());
+            self.reason_known = matches!(error, NodeError::Refused(_) | NodeError::Link(LinkError::Closed(_)));
         }
-        self.reason_known |= !is_reset;
     }
 
     /// Makes a link. The switch may send on it after the node has attached, so the node receives on

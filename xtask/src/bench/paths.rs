@@ -25,7 +25,7 @@ use gdp_faults::Faults;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{self, Namespace};
-use gdp_tests::peers::{Conversation, Received, Side, Tls, Traffic, Vendor};
+use gdp_tests::peers::{Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::system_calls::SystemCalls;
@@ -35,7 +35,6 @@ use serde::Serialize;
 
 use self::machine::MachineTime;
 pub use self::row::{PathRow, print_table};
-use self::secrets::Secrets;
 use self::zenoh::{Bridges, Security};
 use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
@@ -232,8 +231,7 @@ impl Bench {
             converse(&self.tools, vendor, ends, between, folder).inspect(|_| check(wire.as_ref()))
         };
         let over_tls = |vendor| {
-            let Secrets { key, certificate } = Secrets::make(&cloud, folder)?;
-            let tls = Some(Tls { key, certificate });
+            let tls = Some(secrets::make(&cloud, folder)?);
             let (talks, hears) = (Traffic { tls: tls.clone(), ..to(&cloud) }, Traffic { tls, ..traffic.clone() });
             run(vendor, &talks, &hears, &Between::default())
         };

@@ -5,6 +5,7 @@
 //! why no existing controller is used.
 
 use super::delivery_rate::RateSample;
+use super::meter::nanoseconds;
 use super::reports::SOME_BYTES;
 use super::{FRAME_HEADER, MS};
 
@@ -28,6 +29,8 @@ const QUEUE: u64 = 5 * MS;
 const QUEUE_TIME: u64 = 100 * MS;
 /// Time after congestion in which a local path is measured as every other.
 const LOCAL_AGAIN: u64 = 10_000 * MS;
+/// Bytes that a late thread may always catch up on at once.
+const LATE_BYTES: u64 = 64 << 10;
 
 /// Burst after a pause, as time at the known rate of the path. A topic with few and short messages
 /// measures only a small part of the path's capacity. Without the burst, it would be limited to
@@ -70,7 +73,7 @@ pub struct Sample {
     /// Bytes received since the previous report.
     pub delivered: u64,
     pub rate: RateSample,
-    /// The topic had nothing to send in between, so the sample says little about the path.
+    /// The topic had nothing to send since the previous report.
     pub paused: bool,
     /// Bytes that were requested again.
     pub lost: u64,
@@ -128,7 +131,7 @@ pub struct Path {
     recent_since: u64,
     /// Time until which a local path is measured as every other.
     congested_until: u64,
-    /// See [`Self::has_overflowed`].
+    /// See [`Self::catch_up`].
     overflowed_until: u64,
     /// The state before the reductions of the last rounds.
     undo: Option<Undo>,
@@ -207,6 +210,7 @@ impl Path {
                 last_report: Some(now),
                 round_ends: sample.sent,
                 congested_until: now + LOCAL_AGAIN,
+                overflowed_until: self.overflowed_until,
                 ..Self::new()
             };
             return false;
@@ -244,7 +248,11 @@ impl Path {
         let gain = match self.phase {
             // A probe for bandwidth builds a queue, so it ends on time even if the next report is
             // late.
-            Phase::Steady { step: 0, since } if now - since > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) => 100,
+            Phase::Steady { step: 0, since }
+                if now.saturating_sub(since) > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) =>
+            {
+                100
+            }
             Phase::Startup => STARTUP_GAIN,
             Phase::Drain => 50,
             Phase::Steady { step, .. } => CYCLE[step],
@@ -278,10 +286,11 @@ impl Path {
         is_short && self.last_report.is_some_and(|now| now >= self.congested_until)
     }
 
-    /// Returns whether a queue of the path has overflowed, or said so by marks, within
-    /// [`LOCAL_AGAIN`] before the last report.
-    pub fn has_overflowed(&self) -> bool {
-        self.last_report.is_some_and(|now| now < self.overflowed_until)
+    /// Returns the nanoseconds that a late thread may catch up on at once. A queue that has
+    /// overflowed within [`LOCAL_AGAIN`] before the last report may be short.
+    pub fn catch_up(&self, rate: u64) -> u64 {
+        let has_overflowed = self.last_report.is_some_and(|now| now < self.overflowed_until);
+        if has_overflowed { nanoseconds(LATE_BYTES, rate).max(self.min_rtt.unwrap_or(0) / 4) } else { u64::MAX }
     }
 
     /// Returns the burst in bytes when nothing is in flight and nothing was sent for a round trip.
@@ -363,7 +372,9 @@ impl Path {
         let seen = self.round_delivered + self.round_lost;
         let lossy = is_lossy(self.round_lost, seen);
         let congested = self.round_marks > 0 || lossy;
-        if lossy && self.round_marks == 0 {
+        if self.round_marks > 0 {
+            self.undo = None;
+        } else if lossy {
             let undo = self.undo.get_or_insert(Undo {
                 round: self.round,
                 phase: self.phase,
@@ -408,7 +419,7 @@ impl Path {
             Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
             // The queue of a probe for bandwidth is drained first.
             Phase::Steady { step, since }
-                if now - since >= rtt.max(self.report_interval)
+                if now.saturating_sub(since) >= rtt.max(self.report_interval)
                     && (CYCLE[step] >= 100 || under_way <= self.queueless(rtt)) =>
             {
                 let step = (step + 1) % CYCLE.len();

@@ -6,9 +6,9 @@ use std::collections::VecDeque;
 use super::MS;
 use super::sent_log::Sent;
 
-/// Length of a sample in nanoseconds, and of one that a pause of the topic cuts short.
+/// Minimum length of a sample in nanoseconds, and of one that begins with a pause of the topic.
 const LENGTH: u64 = 2 * MS;
-const CUT_SHORT: u64 = MS / 2;
+const LENGTH_AFTER_PAUSE: u64 = MS;
 
 /// Maximum number of remembered reports. Beyond it, every other one is forgotten.
 const MOST: usize = 64;
@@ -36,9 +36,9 @@ pub struct DeliveryRate {
 struct Arrival {
     at: u64,
     total: u64,
-    /// When the frame that it echoes was sent.
+    /// When the last frame that had arrived was sent for the first time.
     sent_at: u64,
-    /// Number of pauses of the topic before that frame.
+    /// Number of pauses of the topic before that frame. `None` when the reader joined.
     pauses: Option<u64>,
 }
 
@@ -48,21 +48,23 @@ impl DeliveryRate {
         Self { total: 0, reports: VecDeque::from([first]) }
     }
 
-    /// Adds a report that `bytes` more have arrived, the last of which is `echo`. Returns the
-    /// arrivals of the last [`LENGTH`], or since the topic's last pause.
-    pub fn add(&mut self, now: u64, bytes: u64, echo: &Sent) -> RateSample {
+    /// Adds a report that `bytes` more have arrived. `latest` is the last frame of first
+    /// transmissions that has. Returns the arrivals since the topic's last pause, in the last
+    /// [`LENGTH`] or longer. If that pause was just now, the sample includes it.
+    pub fn add(&mut self, now: u64, bytes: u64, latest: &Sent) -> RateSample {
         self.total += bytes;
         while self.reports.get(1).is_some_and(|second| second.at + LENGTH <= now) {
             self.reports.pop_front();
         }
         let since = |report: &Arrival| RateSample {
             bytes: self.total - report.total,
-            interval: now.saturating_sub(report.at).max(echo.at.saturating_sub(report.sent_at)),
-            paused: report.pauses.is_some_and(|pauses| pauses != echo.pauses),
+            interval: now.saturating_sub(report.at).max(latest.at.saturating_sub(report.sent_at)),
+            paused: report.pauses.is_some_and(|pauses| pauses != latest.pauses),
         };
         let resumed = self.reports.iter().map(since).find(|sample| !sample.paused);
-        let resumed = resumed.filter(|sample| sample.interval >= CUT_SHORT);
+        let resumed = resumed.filter(|sample| sample.interval >= LENGTH_AFTER_PAUSE);
         let sample = resumed.or_else(|| self.reports.front().map(since)).unwrap_or_default();
+        self.reports.retain(|report| report.pauses.is_some());
         if self.reports.len() >= MOST {
             let mut is_kept = false;
             self.reports.retain(|_| {
@@ -70,7 +72,7 @@ impl DeliveryRate {
                 is_kept
             });
         }
-        self.reports.push_back(Arrival { at: now, total: self.total, sent_at: echo.at, pauses: Some(echo.pauses) });
+        self.reports.push_back(Arrival { at: now, total: self.total, sent_at: latest.at, pauses: Some(latest.pauses) });
         sample
     }
 }

@@ -8,7 +8,7 @@ use super::black_hole::Suspicion;
 use super::congestion::{Path, Sample};
 use super::delivery_rate::DeliveryRate;
 use super::outbox::Outbox;
-use super::repair_budget::RepairBudget;
+use super::repair_budget::{Fresh, RepairBudget};
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position};
 
@@ -155,7 +155,9 @@ impl ReaderState {
         // A reader's claim to have received more than was sent is ignored.
         let most = sent.saturating_sub(self.echo.map_or(0, |echo| echo.total).min(before));
         let delivered = report.received_bytes.saturating_sub(self.received_bytes).min(most);
-        let rate = self.delivery_rate.add(now, delivered, &echo);
+        // A repair echoes its first transmission.
+        let latest = self.echo.filter(|before| before.total > echo.total).unwrap_or(echo);
+        let rate = self.delivery_rate.add(now, delivered, &latest);
         let sample = Sample {
             rtt: (repeated.is_none() && arrived > before)
                 .then(|| now.saturating_sub(echo.at).saturating_sub(report.delay)),
@@ -180,9 +182,8 @@ impl ReaderState {
         (sample.marks, congested)
     }
 
-    /// Pays for a repair of `bytes` bytes, if it is within the reader's budget. `fresh`: the topic's
-    /// bytes of first transmissions.
-    pub fn pay(&mut self, now: u64, bytes: u64, fresh: u64) -> bool {
+    /// Pays for a repair of `bytes` bytes, if it is within the reader's budget.
+    pub fn pay(&mut self, now: u64, bytes: u64, fresh: Fresh) -> bool {
         self.repairs.pay(now, bytes, fresh, self.lagging)
     }
 

@@ -1,12 +1,12 @@
-//! The bytes that may be sent again to one reader: a share of what the topic has sent. A reader on a
-//! bad path, or a hostile one, then costs the others no more.
+//! The bytes that may be sent again to one reader: a share of what the topic has sent of late. A
+//! reader on a bad path, or a hostile one, then costs the others no more.
 
 use super::MS;
 
 /// Share of the first transmissions, and that of a reader that lags.
 const SHARE: u64 = 4;
 const LAGGING_SHARE: u64 = 16;
-/// Maximum credit in bytes, for repairs of many large messages at once.
+/// Maximum credit in bytes.
 const MOST: i64 = 16 << 20;
 
 /// Rate in bytes per second at which repairs are possible while nothing is sent, and the maximum
@@ -16,6 +16,13 @@ const LEAST: i64 = 128 << 10;
 
 /// Cost in bytes of each requested frame, in addition to its repair.
 const LOOK: u64 = 16;
+
+/// Bytes of a topic's first transmissions: in all, and in the last seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Fresh {
+    pub total: u64,
+    pub recent: u64,
+}
 
 #[derive(Clone, Copy, Debug)]
 pub struct RepairBudget {
@@ -33,9 +40,8 @@ impl RepairBudget {
         Self { credit: LEAST, sent, at: now }
     }
 
-    /// Pays for a repair of `bytes` bytes, if there is credit. `sent`: bytes of first transmissions
-    /// so far.
-    pub fn pay(&mut self, now: u64, bytes: u64, sent: u64, is_lagging: bool) -> bool {
+    /// Pays for a repair of `bytes` bytes, if there is credit.
+    pub fn pay(&mut self, now: u64, bytes: u64, fresh: Fresh, is_lagging: bool) -> bool {
         let share = if is_lagging { LAGGING_SHARE } else { SHARE };
         let elapsed = now.saturating_sub(self.at).min(1_000 * MS);
         let earned = (elapsed * LEAST_RATE / (1_000 * MS)) as i64;
@@ -43,8 +49,10 @@ impl RepairBudget {
             self.credit = self.credit.max((self.credit + earned).min(LEAST));
             self.at = now;
         }
-        self.credit = (self.credit + (sent.saturating_sub(self.sent) / share) as i64).min(MOST);
-        self.sent = sent;
+        // Credit that a reader did not need expires.
+        let most = (LEAST + (fresh.recent / share) as i64).min(MOST);
+        self.credit = (self.credit + (fresh.total.saturating_sub(self.sent) / share) as i64).min(most);
+        self.sent = fresh.total;
         let is_allowed = self.credit > 0;
         let cost = if is_allowed { bytes + LOOK } else { LOOK };
         self.credit = (self.credit - cost as i64).max(-MOST);

@@ -4,9 +4,10 @@ use gdp_wire::Name;
 
 use super::black_hole::{FrameLimit, LEAST_PAYLOAD};
 use super::history::{History, Overflow, Reliability};
-use super::meter::{Meter, nanoseconds};
+use super::meter::{Meter, Recent, nanoseconds};
 use super::outbox::{Chosen, Outbox};
 use super::peers::{Peers, ReaderState, Report, SILENCE_STEP};
+use super::repair_budget::Fresh;
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position, Sealed};
 use crate::feedback_wire::{Feedback, MAX_MISSING, Missing};
@@ -24,9 +25,6 @@ const BURST_BYTES: u64 = 2 * 1500;
 /// nanoseconds at most. Otherwise a thread with a third of a processor would send at a third of the
 /// rate. The rate measured next would be lower still.
 const MOST_LATE: u64 = 25 * MS;
-
-/// The same in bytes for a path with a queue that has overflowed.
-const LATE_BYTES: u64 = 64 << 10;
 
 /// If other topics of the uplink delay a topic for longer, its samples say nothing about the path.
 const HELD_UP: u64 = 20 * MS;
@@ -86,8 +84,9 @@ pub struct TopicState {
     late: u64,
     /// Bytes to send without pacing after a pause.
     at_once: u64,
-    /// Bytes of first transmissions.
+    /// Bytes of first transmissions, in all and of late.
     fresh: u64,
+    recent: Recent,
     /// The reader whose path determines the pace.
     leader: Option<Name>,
     heartbeat_at: u64,
@@ -138,6 +137,7 @@ impl TopicState {
             late: 0,
             at_once: 0,
             fresh: 0,
+            recent: Recent::new(now),
             leader: None,
             heartbeat_at: u64::MAX,
             heartbeat_interval: FIRST_HEARTBEAT,
@@ -249,8 +249,7 @@ impl TopicState {
             return None;
         }
         if let Some(until) = self.paced_until.take() {
-            let has_overflowed = self.leader().is_some_and(|leader| leader.path().has_overflowed());
-            let most = if has_overflowed { nanoseconds(LATE_BYTES, rate).min(MOST_LATE) } else { MOST_LATE };
+            let most = self.leader().map_or(MOST_LATE, |leader| leader.path().catch_up(rate).min(MOST_LATE));
             self.late = now.saturating_sub(until).min(most);
         }
         if waited > HELD_UP {
@@ -267,6 +266,7 @@ impl TopicState {
         self.at_once = self.at_once.saturating_sub(bytes as u64);
         if !chosen.repair {
             self.fresh += bytes as u64;
+            self.recent.add(now, bytes as u64);
             let position = chosen.message.position(chosen.frame);
             let under_way = self.leader().unwrap_or(&self.nobody).under_way(self.sent);
             self.log.add(Sent { position, at: now, total: self.sent, pauses: self.pauses }, under_way);
@@ -377,7 +377,7 @@ impl TopicState {
 
     /// Queues repairs. Segments from `in_flight` on were sent after the request.
     fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing], in_flight: Option<Position>) -> Option<u64> {
-        let fresh = self.fresh;
+        let fresh = Fresh { total: self.fresh, recent: self.recent.get(now) };
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {

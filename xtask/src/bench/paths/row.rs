@@ -19,8 +19,8 @@ pub struct PathRow {
     rate: f64,
     topics: u32,
     vendor: &'static str,
-    sent: u64,
-    received: u64,
+    pub sent: u64,
+    pub received: u64,
     /// Number of messages that arrived damaged.
     damaged: u64,
     /// Latency from `write` to the callback, in microseconds.

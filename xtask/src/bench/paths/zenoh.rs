@@ -7,11 +7,11 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use gdp_tests::chain::Chain;
 use gdp_tests::netns::Namespace;
-use gdp_tests::peers::ON_LOOPBACK;
+use gdp_tests::peers::{ON_LOOPBACK, Tls};
 use gdp_tests::process::Process;
 use serde_json::{Value, json};
 
-use super::secrets::Secrets;
+use super::secrets;
 
 /// The port of zenoh's routers.
 const PORT: u16 = 7447;
@@ -36,7 +36,7 @@ impl Bridges {
         let (_, cloud) = chain.ip_ends();
         let (protocol, secrets) = match security {
             Security::None => ("tcp", None),
-            Security::Tls | Security::TlsLowLatency => ("tls", Some(Secrets::make(&cloud, folder)?)),
+            Security::Tls | Security::TlsLowLatency => ("tls", Some(secrets::make(&cloud, folder)?)),
         };
         let low_latency = security == Security::TlsLowLatency;
         let endpoint = |host: &str| json!({"endpoints": [format!("{protocol}/{host}:{PORT}")]});
@@ -53,11 +53,11 @@ impl Bridges {
     }
 }
 
-fn config(mut config: Value, secrets: Option<&Secrets>, low_latency: bool) -> Value {
+fn config(mut config: Value, secrets: Option<&Tls>, low_latency: bool) -> Value {
     config["mode"] = "router".into();
     config["scouting"] = json!({"multicast": {"enabled": false}});
     config["plugins"] = json!({"ros2dds": {"domain": 0, "__required__": true}});
-    if let Some(Secrets { key, certificate }) = secrets {
+    if let Some(Tls { key, certificate }) = secrets {
         config["transport"] = json!({"link": {"tls": {
             "root_ca_certificate": certificate, "enable_mtls": true,
             "listen_private_key": key, "listen_certificate": certificate,

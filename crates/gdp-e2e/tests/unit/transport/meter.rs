@@ -1,8 +1,18 @@
-//! The token bucket.
+//! The token bucket, and the count of recent bytes.
 
 use super::*;
 
 const SECOND: u64 = 1_000_000_000;
+
+#[test]
+fn recent_bytes_are_forgotten_and_time_may_step_back() {
+    let mut recent = Recent::new(10 * SECOND);
+    recent.add(16 * SECOND, 1000);
+    recent.add(14 * SECOND, 1000);
+    assert_eq!(recent.get(9 * SECOND), 2000);
+    assert_eq!(recent.get(24 * SECOND), 2000);
+    assert_eq!(recent.get(25 * SECOND), 0);
+}
 
 /// At a kilobyte a millisecond.
 #[test]
