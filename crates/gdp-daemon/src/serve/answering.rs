@@ -6,11 +6,14 @@ use std::time::Duration;
 
 use futures::future::join_all;
 use gdp_link::link::Link;
-use gdp_proto::control::{Refusal, RefusalCode, Response};
-use tokio::time::timeout;
+use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
+use gdp_util::backoff::Backoff;
+use gdp_wire::Name;
+use tokio::time::{sleep, timeout};
 
 use super::core::Core;
 use super::core::follow_up::{FollowUp, OnReply, PendingRequest, Statement};
+use super::core::relay::onward;
 use super::daemon::Daemon;
 use super::federation::records;
 
@@ -19,6 +22,10 @@ const SETTLE: Duration = Duration::from_secs(1);
 
 /// The maximum wait for the RIB of another domain.
 const TIER_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// The delays between attempts to tell a switch of an unknown attachment, which then take 21 s.
+const DETACH: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
+const DETACH_ATTEMPTS: u32 = 8;
 
 impl Daemon {
     /// Handles a request under the lock, and answers it after the steps that it needs.
@@ -140,7 +147,8 @@ impl Daemon {
                     _ => asked.await,
                 };
                 match (on_reply, &link) {
-                    (OnReply::Nothing, _) => {}
+                    (OnReply::Detach(..), _) if matches!(response, Some(Response::Done)) => {}
+                    (OnReply::Detach(switch, entity), _) => daemon.detach(switch, entity).await,
                     (OnReply::Reattach, Some(link)) => reattached(&daemon, link, response),
                     (on_reply, _) => {
                         daemon.core().answered(on_reply, response);
@@ -148,6 +156,24 @@ impl Daemon {
                     }
                 }
             });
+        }
+    }
+}
+
+impl Daemon {
+    /// Tells a switch once more that the local RIB does not know an attachment, until it answers.
+    /// After a start of the RIB, the topology may not have converged.
+    async fn detach(&self, switch: Name, entity: Name) {
+        let mut retry = DETACH;
+        for _ in 0..DETACH_ATTEMPTS {
+            sleep(retry.next_delay()).await;
+            let link = self.core().link_toward(&switch).ok();
+            let Some(link) = link else { continue };
+            match link.request(&onward(switch, Request::Detach { switch, entity })).await {
+                Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {}
+                Ok(_) => return,
+                Err(error) => tracing::debug!(%error, "a switch was not told of an unknown attachment"),
+            }
         }
     }
 }

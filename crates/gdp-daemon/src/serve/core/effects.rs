@@ -53,7 +53,9 @@ impl Core {
                     on_reply: OnReply::Reattach,
                 }));
             }
-            Effect::Detach { switch, entity } => (switch, Request::Detach { switch, entity }, OnReply::Nothing),
+            Effect::Detach { switch, entity } => {
+                (switch, Request::Detach { switch, entity }, OnReply::Detach(switch, entity))
+            }
         };
         let link = self.link_toward(&target).ok();
         pending.push(PendingRequest { link, request: onward(target, request), on_reply });
@@ -111,7 +113,7 @@ impl Core {
     pub fn answered(&mut self, on_reply: OnReply, response: Option<Response>) {
         let (now, rib_host) = (self.clock.now(), &mut self.rib_host);
         match on_reply {
-            OnReply::Nothing | OnReply::Reattach => {}
+            OnReply::Detach(..) | OnReply::Reattach => {}
             OnReply::Tier(to, sent) => {
                 rib_host.tier_answered(now, self.membership.domain.as_ref(), (to, sent), response);
             }

@@ -91,7 +91,8 @@ pub struct PendingRequest {
 
 /// The use of the reply to a request of the RIB.
 pub enum OnReply {
-    Nothing,
+    /// Whether a switch has asked this entity to attach again.
+    Detach(Name, Name),
     /// The outcome of a FIB push to a switch, with the push's generation.
     Push(Name, u64),
     /// Whether an entity received the update of its peers.
