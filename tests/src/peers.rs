@@ -1,4 +1,5 @@
-//! The foreign programs of `tests/peers`, at either end of a chain: DDS, and TCP and QUIC for comparison.
+//! The foreign programs of `tests/peers`, at either end of a chain: DDS, and for comparison TCP and
+//! QUIC.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

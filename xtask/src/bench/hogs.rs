@@ -9,7 +9,7 @@ use anyhow::Result;
 use gdp_tests::peers;
 use serde::Serialize;
 
-use super::paths::{Bench, Cables, Hog, LOAD, Load, Measured, Route};
+use super::paths::{Bench, BenchRoute, Cables, Hog, LOAD, Load, Measured};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -31,7 +31,7 @@ pub struct Options {
     bytes: Vec<usize>,
 }
 
-const ROUTES: [Route; 2] = [Route::Gdp, Route::Tcp];
+const ROUTES: [BenchRoute; 2] = [BenchRoute::Gdp, BenchRoute::Tcp];
 
 const LOADS: [Load; 3] = [
     Load { bytes: 1_000_000, rate: 30.0, ..LOAD },
@@ -42,7 +42,7 @@ const LOADS: [Load; 3] = [
 /// A load beside a number of busy loops. Arrays have the rounds' figures.
 #[derive(Serialize)]
 struct HogRow {
-    route: Route,
+    route: BenchRoute,
     bytes: usize,
     rate: f64,
     hogs: u32,
@@ -80,7 +80,7 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
-fn row(route: Route, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> HogRow {
+fn row(route: BenchRoute, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> HogRow {
     let at = |measured: &Measured, percent| {
         let mut sorted: Vec<Duration> = measured.received.iter().map(|message| message.latency).collect();
         sorted.sort();
@@ -112,7 +112,7 @@ fn print_table(rows: &[HogRow]) {
         "path", "bytes", "Hz", "loops", "received", "sent", "p50 ms", "p99 ms", "repairs"
     );
     for row in rows {
-        let path = if row.route == Route::Gdp { "gdp" } else { "tcp" };
+        let path = if row.route == BenchRoute::Gdp { "gdp" } else { "tcp" };
         println!(
             "{path:<6} {:>8} {:>5} {:>5} {:>10} {:>6} {:>9.2} {:>9.2} {:>8}",
             row.bytes,

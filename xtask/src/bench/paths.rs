@@ -43,7 +43,7 @@ use crate::workspace::{self, Profile};
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Route {
+pub enum BenchRoute {
     Gdp,
     GdpUdp,
     Ip,
@@ -60,7 +60,7 @@ pub enum Route {
     ZenohTlsLowLatency,
 }
 
-impl Route {
+impl BenchRoute {
     fn is_gdp(self) -> bool {
         matches!(self, Self::Gdp | Self::GdpUdp)
     }
@@ -110,9 +110,9 @@ pub const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10, vendor
 impl Load {
     /// Returns whether the path has programs for this load. Zenoh carries only topics of a ROS
     /// node, and only the Cyclone program is one. The TCP programs have one topic.
-    pub fn is_carried_by(&self, route: Route) -> bool {
+    pub fn is_carried_by(&self, route: BenchRoute) -> bool {
         match route {
-            Route::Tcp | Route::TcpTls => self.topics == 1 && self.vendor == Vendor::Cyclone,
+            BenchRoute::Tcp | BenchRoute::TcpTls => self.topics == 1 && self.vendor == Vendor::Cyclone,
             _ => self.vendor == Vendor::Cyclone || !route.is_zenoh(),
         }
     }
@@ -176,7 +176,7 @@ pub struct Bench {
 
 impl Bench {
     /// Builds the programs of these routes, and removes namespaces of earlier runs.
-    pub fn prepare(routes: &[Route], profile: Profile) -> Result<Self> {
+    pub fn prepare(routes: &[BenchRoute], profile: Profile) -> Result<Self> {
         if !workspace::is_root() {
             bail!("network namespaces need root");
         }
@@ -196,20 +196,20 @@ impl Bench {
     }
 
     /// Sends `count` messages on a new network, and measures what arrives.
-    pub fn measure(&self, route: Route, cables: &Cables, load: &Load, count: u64) -> Result<Measured> {
-        let on_loopback = load.vendor == Vendor::Cyclone && route != Route::Ip;
+    pub fn measure(&self, route: BenchRoute, cables: &Cables, load: &Load, count: u64) -> Result<Measured> {
+        let on_loopback = load.vendor == Vendor::Cyclone && route != BenchRoute::Ip;
         let Load { bytes: size, rate, topics, depth, vendor } = *load;
         let traffic = Traffic { count, rate, size, topics, depth, on_loopback, ..Default::default() };
         let folder = tempfile::Builder::new().prefix("gdp-bench-").tempdir()?;
         let folder = folder.path();
-        if route == Route::Local {
+        if route == BenchRoute::Local {
             let host = Namespace::create("local")?;
             host.enable_loopback_multicast()?;
             return converse(&self.tools, vendor, [(&host, &traffic), (&host, &traffic)], &Between::default(), folder);
         }
         if route.is_gdp() {
             let options =
-                FabricOptions { topics, udp: route == Route::GdpUdp, chain: cables.chain, ..Default::default() };
+                FabricOptions { topics, udp: route == BenchRoute::GdpUdp, chain: cables.chain, ..Default::default() };
             let mut fabric = Fabric::start(self.tools.clone(), options)?;
             let wire = cables.disturb(&fabric.chain)?;
             fabric.start_proxies()?;
@@ -236,18 +236,18 @@ impl Bench {
             run(vendor, &talks, &hears, &Between::default())
         };
         match route {
-            Route::Tcp => run(Vendor::Tcp, &to(&cloud), &traffic, &Between::default()),
-            Route::TcpTls => over_tls(Vendor::Tcp),
-            Route::Quinn => over_tls(Vendor::Quic),
-            Route::QuinnStreams => over_tls(Vendor::QuicStreams),
+            BenchRoute::Tcp => run(Vendor::Tcp, &to(&cloud), &traffic, &Between::default()),
+            BenchRoute::TcpTls => over_tls(Vendor::Tcp),
+            BenchRoute::Quinn => over_tls(Vendor::Quic),
+            BenchRoute::QuinnStreams => over_tls(Vendor::QuicStreams),
             // DDS finds its peers by multicast, which routers do not forward. So each side gets the
             // address of the other.
-            Route::Ip => run(vendor, &to(&cloud), &to(&robot), &Between::default()),
-            Route::Zenoh | Route::ZenohTls | Route::ZenohTlsLowLatency => {
+            BenchRoute::Ip => run(vendor, &to(&cloud), &to(&robot), &Between::default()),
+            BenchRoute::Zenoh | BenchRoute::ZenohTls | BenchRoute::ZenohTlsLowLatency => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
                 let security = match route {
-                    Route::ZenohTls => Security::Tls,
-                    Route::ZenohTlsLowLatency => Security::TlsLowLatency,
+                    BenchRoute::ZenohTls => Security::Tls,
+                    BenchRoute::ZenohTlsLowLatency => Security::TlsLowLatency,
                     _ => Security::None,
                 };
                 let bridges = Bridges::start(bridge, &chain, security, folder)?;
@@ -255,7 +255,7 @@ impl Bench {
                 let node = |name: &str| Traffic { node: Some(name.into()), ..traffic.clone() };
                 run(vendor, &node("talker"), &node("listener"), &between)
             }
-            Route::Gdp | Route::GdpUdp | Route::Local => bail!("a path without routers"),
+            BenchRoute::Gdp | BenchRoute::GdpUdp | BenchRoute::Local => bail!("a path without routers"),
         }
     }
 }

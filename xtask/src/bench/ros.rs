@@ -8,7 +8,7 @@ use anyhow::Result;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, Cables, Hog, LOAD, Load, Measured, PathRow, Route, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Hog, LOAD, Load, Measured, PathRow, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -27,7 +27,7 @@ pub struct Options {
     bytes: Vec<usize>,
     /// Path to measure; repeat for several
     #[arg(long = "path", value_enum, default_values_t = ROUTES)]
-    paths: Vec<Route>,
+    paths: Vec<BenchRoute>,
     /// Number of busy loops beside each measurement
     #[arg(long, default_value_t = 0)]
     hogs: u32,
@@ -39,8 +39,15 @@ pub struct Options {
     checked: bool,
 }
 
-const ROUTES: [Route; 7] =
-    [Route::Gdp, Route::GdpUdp, Route::Ip, Route::Local, Route::Tcp, Route::ZenohTls, Route::Zenoh];
+const ROUTES: [BenchRoute; 7] = [
+    BenchRoute::Gdp,
+    BenchRoute::GdpUdp,
+    BenchRoute::Ip,
+    BenchRoute::Local,
+    BenchRoute::Tcp,
+    BenchRoute::ZenohTls,
+    BenchRoute::Zenoh,
+];
 
 const LOADS: [Load; 8] = [
     Load { bytes: 64, ..LOAD },
@@ -61,7 +68,8 @@ pub fn run(options: Options) -> Result<()> {
     let _hogs = Hog::several(options.hogs)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
-        let routes: Vec<Route> = options.paths.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
+        let routes: Vec<BenchRoute> =
+            options.paths.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
         let count = load.count(options.seconds);
         let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
         for _ in 0..options.rounds {
@@ -77,7 +85,8 @@ pub fn run(options: Options) -> Result<()> {
             }
         }
         let sent = count * u64::from(options.rounds);
-        let of = |(route, all): (&Route, &Vec<Measured>)| PathRow::of(*route, "plain", load, options.hogs, sent, all);
+        let of =
+            |(route, all): (&BenchRoute, &Vec<Measured>)| PathRow::of(*route, "plain", load, options.hogs, sent, all);
         rows.extend(routes.iter().zip(&samples).map(of));
     }
     if options.json {

@@ -14,7 +14,7 @@ use gdp_faults::Faults;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, Cables, Hog, LOAD, Load, Measured, PathRow, Route, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Hog, LOAD, Load, Measured, PathRow, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -31,9 +31,9 @@ pub struct Options {
     /// Number of alternating measurements per path
     #[arg(long, default_value_t = 1)]
     rounds: u32,
-    /// Kind of cables to measure; repeat for several. Default: all kinds
+    /// CableKind of cables to measure; repeat for several. Default: all kinds
     #[arg(long = "cables", value_enum)]
-    cables: Vec<Kind>,
+    cables: Vec<CableKind>,
     /// Measure programs that are built as for the tests: quick to compile, and slower
     #[arg(long)]
     checked: bool,
@@ -41,7 +41,7 @@ pub struct Options {
 
 /// What is special about the cables, or about the hosts.
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Kind {
+enum CableKind {
     /// MTU 1500 and no transmit offloads, as between machines whose frames XDP forwards
     Plain,
     /// Checksums and segmentation are left to the (virtual) hardware
@@ -56,7 +56,7 @@ enum Kind {
     Hogs,
 }
 
-impl Kind {
+impl CableKind {
     fn name(self) -> &'static str {
         match self {
             Self::Plain | Self::Hogs => "plain",
@@ -88,46 +88,47 @@ impl Kind {
 
 /// A load, the cables that it crosses, and the paths that carry it.
 struct Case {
-    kind: Kind,
+    kind: CableKind,
     load: Load,
-    routes: &'static [Route],
+    routes: &'static [BenchRoute],
 }
 
 const SMALL: Load = Load { bytes: 64, ..LOAD };
 const LARGE: Load = Load { bytes: 1_000_000, ..LOAD };
 const CLOUD: Load = Load { bytes: 6_000_000, rate: 10.0, depth: 5, ..LOAD };
 
-const FEW: &[Route] = &[Route::GdpUdp, Route::ZenohTls, Route::TcpTls, Route::Quinn];
-const MORE: &[Route] = &[Route::GdpUdp, Route::Gdp, Route::ZenohTls, Route::TcpTls, Route::Quinn];
+const FEW: &[BenchRoute] = &[BenchRoute::GdpUdp, BenchRoute::ZenohTls, BenchRoute::TcpTls, BenchRoute::Quinn];
+const MORE: &[BenchRoute] =
+    &[BenchRoute::GdpUdp, BenchRoute::Gdp, BenchRoute::ZenohTls, BenchRoute::TcpTls, BenchRoute::Quinn];
 /// Zenoh's transport for low latency does not divide messages, and so carries only small ones.
-const ALL: &[Route] = &[
-    Route::GdpUdp,
-    Route::Gdp,
-    Route::ZenohTls,
-    Route::ZenohTlsLowLatency,
-    Route::TcpTls,
-    Route::Quinn,
-    Route::QuinnStreams,
+const ALL: &[BenchRoute] = &[
+    BenchRoute::GdpUdp,
+    BenchRoute::Gdp,
+    BenchRoute::ZenohTls,
+    BenchRoute::ZenohTlsLowLatency,
+    BenchRoute::TcpTls,
+    BenchRoute::Quinn,
+    BenchRoute::QuinnStreams,
 ];
 
 const CASES: [Case; 13] = [
-    Case { kind: Kind::Plain, load: SMALL, routes: ALL },
-    Case { kind: Kind::Plain, load: Load { rate: 1_000.0, ..SMALL }, routes: ALL },
+    Case { kind: CableKind::Plain, load: SMALL, routes: ALL },
+    Case { kind: CableKind::Plain, load: Load { rate: 1_000.0, ..SMALL }, routes: ALL },
     Case {
-        kind: Kind::Plain,
+        kind: CableKind::Plain,
         load: Load { rate: 20_000.0, topics: 20, vendor: Vendor::FastDds, ..SMALL },
-        routes: &[Route::GdpUdp, Route::Gdp, Route::Ip, Route::Quinn],
+        routes: &[BenchRoute::GdpUdp, BenchRoute::Gdp, BenchRoute::Ip, BenchRoute::Quinn],
     },
-    Case { kind: Kind::Plain, load: Load { bytes: 8_000, ..LOAD }, routes: ALL },
-    Case { kind: Kind::Plain, load: LARGE, routes: MORE },
-    Case { kind: Kind::Plain, load: CLOUD, routes: MORE },
-    Case { kind: Kind::Offloads, load: LARGE, routes: FEW },
-    Case { kind: Kind::Jumbo, load: LARGE, routes: MORE },
-    Case { kind: Kind::Gigabit, load: CLOUD, routes: FEW },
-    Case { kind: Kind::Delay, load: SMALL, routes: FEW },
-    Case { kind: Kind::Delay, load: LARGE, routes: FEW },
-    Case { kind: Kind::Hogs, load: SMALL, routes: FEW },
-    Case { kind: Kind::Hogs, load: LARGE, routes: FEW },
+    Case { kind: CableKind::Plain, load: Load { bytes: 8_000, ..LOAD }, routes: ALL },
+    Case { kind: CableKind::Plain, load: LARGE, routes: MORE },
+    Case { kind: CableKind::Plain, load: CLOUD, routes: MORE },
+    Case { kind: CableKind::Offloads, load: LARGE, routes: FEW },
+    Case { kind: CableKind::Jumbo, load: LARGE, routes: MORE },
+    Case { kind: CableKind::Gigabit, load: CLOUD, routes: FEW },
+    Case { kind: CableKind::Delay, load: SMALL, routes: FEW },
+    Case { kind: CableKind::Delay, load: LARGE, routes: FEW },
+    Case { kind: CableKind::Hogs, load: SMALL, routes: FEW },
+    Case { kind: CableKind::Hogs, load: LARGE, routes: FEW },
 ];
 
 pub fn run(options: Options) -> Result<()> {
@@ -135,11 +136,11 @@ pub fn run(options: Options) -> Result<()> {
     let seconds = if options.quick { 2 } else { options.seconds };
     let is_wanted = |case: &&Case| {
         let quick =
-            case.kind == Kind::Plain && case.load.rate == LOAD.rate && [64, 1_000_000].contains(&case.load.bytes);
+            case.kind == CableKind::Plain && case.load.rate == LOAD.rate && [64, 1_000_000].contains(&case.load.bytes);
         (options.cables.is_empty() || options.cables.contains(&case.kind)) && (quick || !options.quick)
     };
     let cases: Vec<&Case> = CASES.iter().filter(is_wanted).collect();
-    let routes: Vec<Route> = cases.iter().flat_map(|case| case.routes).copied().collect();
+    let routes: Vec<BenchRoute> = cases.iter().flat_map(|case| case.routes).copied().collect();
     let bench = Bench::prepare(&routes, profile)?;
     let mut rows = Vec::new();
     for Case { kind, load, routes } in cases {
@@ -154,8 +155,9 @@ pub fn run(options: Options) -> Result<()> {
             }
         }
         let sent = count * u64::from(options.rounds);
-        let of =
-            |(route, all): (&Route, &Vec<Measured>)| PathRow::of(*route, kind.name(), load, kind.hogs(), sent, all);
+        let of = |(route, all): (&BenchRoute, &Vec<Measured>)| {
+            PathRow::of(*route, kind.name(), load, kind.hogs(), sent, all)
+        };
         rows.extend(routes.iter().zip(&samples).map(of));
     }
     let cores = std::thread::available_parallelism()?;

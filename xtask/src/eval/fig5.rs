@@ -14,7 +14,7 @@ use gdp_tests::measure::Wanted;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::report;
 
-use crate::bench::paths::{Bench, Cables, LOAD, Load, PathRow, Route};
+use crate::bench::paths::{Bench, BenchRoute, Cables, LOAD, Load, PathRow};
 use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
@@ -36,7 +36,8 @@ pub struct Options {
     checked: bool,
 }
 
-const SETUPS: [Route; 5] = [Route::Local, Route::Ip, Route::ZenohTls, Route::Gdp, Route::GdpUdp];
+const SETUPS: [BenchRoute; 5] =
+    [BenchRoute::Local, BenchRoute::Ip, BenchRoute::ZenohTls, BenchRoute::Gdp, BenchRoute::GdpUdp];
 
 const SIZES: [usize; 8] = [64, 1_000, 8_000, 64_000, 256_000, 1_000_000, 4_000_000, 8_000_000];
 const QUICK_SIZES: [usize; 2] = [64, 1_000_000];
@@ -55,13 +56,13 @@ const PAPER: &str = "ROS 2, 3 routers + 14 ms";
 /// The bar of what this system may add: a tenth.
 const MAY_ADD: f64 = PAPER_ADDS / 10.0;
 
-fn series(route: Route) -> &'static str {
+fn series(route: BenchRoute) -> &'static str {
     match route {
-        Route::Local => "ROS 2, one host",
-        Route::Ip => "ROS 2, 3 routers",
-        Route::ZenohTls => "zenoh bridges, TLS",
-        Route::Gdp => "GDP, Ethernet",
-        Route::GdpUdp => "GDP, UDP",
+        BenchRoute::Local => "ROS 2, one host",
+        BenchRoute::Ip => "ROS 2, 3 routers",
+        BenchRoute::ZenohTls => "zenoh bridges, TLS",
+        BenchRoute::Gdp => "GDP, Ethernet",
+        BenchRoute::GdpUdp => "GDP, UDP",
         other => other.describe(),
     }
 }
@@ -76,7 +77,7 @@ fn case(bytes: usize) -> String {
 
 pub fn run(options: Options) -> Result<()> {
     let quick = options.quick;
-    let setups: Vec<Route> = SETUPS.into_iter().filter(|route| !quick || *route != Route::ZenohTls).collect();
+    let setups: Vec<BenchRoute> = SETUPS.into_iter().filter(|route| !quick || *route != BenchRoute::ZenohTls).collect();
     let (sizes, rounds) = if quick { (&QUICK_SIZES[..], 1) } else { (&SIZES[..], options.rounds.max(1)) };
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
     let bench = Bench::prepare(&setups, profile)?;
@@ -91,7 +92,7 @@ pub fn run(options: Options) -> Result<()> {
 }
 
 /// Measures all setups with messages of one size: their medians, and those of the paper's system.
-fn measure(bench: &Bench, setups: &[Route], bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
+fn measure(bench: &Bench, setups: &[BenchRoute], bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
     let load = Load { bytes, rate: (MOST_BYTES / bytes as f64).min(RATE), ..LOAD };
     let mut medians: Vec<Vec<f64>> = setups.iter().map(|_| Vec::new()).collect();
     let mut lost = vec![0; setups.len()];
@@ -110,7 +111,8 @@ fn measure(bench: &Bench, setups: &[Route], bytes: usize, rounds: usize, raw: &m
             lost[at] += row.sent - row.received.min(row.sent);
         }
     }
-    let routers = setups.iter().position(|route| *route == Route::Ip).map(|at| medians[at].clone()).unwrap_or_default();
+    let routers =
+        setups.iter().position(|route| *route == BenchRoute::Ip).map(|at| medians[at].clone()).unwrap_or_default();
     let measures =
         setups.iter().zip(medians).map(|(route, medians)| Measure::new(series(*route), case(bytes), medians));
     let paper = Measure::new(PAPER, case(bytes), routers.iter().map(|median| median + PAPER_ADDS).collect());
@@ -122,9 +124,9 @@ fn measure(bench: &Bench, setups: &[Route], bytes: usize, rounds: usize, raw: &m
 fn figure(latency: Vec<Measure>, sizes: &[usize]) -> Figure {
     let title = "Figure 5: one-way latency through three nodes, median";
     let mut figure = Figure::new("eval-fig5", title, Unit::Milliseconds, latency);
-    for ours in [Route::Gdp, Route::GdpUdp].map(series) {
+    for ours in [BenchRoute::Gdp, BenchRoute::GdpUdp].map(series) {
         for case in sizes.iter().map(|bytes| case(*bytes)) {
-            let routers = figure.measure(series(Route::Ip), &case).map(|measure| measure.spread.median);
+            let routers = figure.measure(series(BenchRoute::Ip), &case).map(|measure| measure.spread.median);
             let is_complete = figure.measure(ours, &case).is_some_and(|measure| measure.lost_percent == Some(0.0));
             if let Some(routers) = routers {
                 // What loses messages has no latency that counts.
@@ -132,7 +134,7 @@ fn figure(latency: Vec<Measure>, sizes: &[usize]) -> Figure {
                 figure = figure.aim(ours, &case, Aim::AtMost(most));
             }
         }
-        figure = figure.compare(ours, series(Route::ZenohTls), |_| Some(Aim::AtMost(1.0)));
+        figure = figure.compare(ours, series(BenchRoute::ZenohTls), |_| Some(Aim::AtMost(1.0)));
     }
     figure
 }

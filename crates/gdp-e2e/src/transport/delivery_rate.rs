@@ -28,12 +28,12 @@ pub struct RateSample {
 pub struct DeliveryRate {
     /// Bytes so far.
     total: u64,
-    reports: VecDeque<Arrival>,
+    reports: VecDeque<ReportedArrival>,
 }
 
 /// A report.
 #[derive(Clone, Copy, Debug)]
-struct Arrival {
+struct ReportedArrival {
     at: u64,
     total: u64,
     /// When the last frame that had arrived was sent for the first time.
@@ -44,7 +44,7 @@ struct Arrival {
 
 impl DeliveryRate {
     pub fn new(now: u64) -> Self {
-        let first = Arrival { at: now, total: 0, sent_at: now, pauses: None };
+        let first = ReportedArrival { at: now, total: 0, sent_at: now, pauses: None };
         Self { total: 0, reports: VecDeque::from([first]) }
     }
 
@@ -56,7 +56,7 @@ impl DeliveryRate {
         while self.reports.get(1).is_some_and(|second| second.at + LENGTH <= now) {
             self.reports.pop_front();
         }
-        let since = |report: &Arrival| RateSample {
+        let since = |report: &ReportedArrival| RateSample {
             bytes: self.total - report.total,
             interval: now.saturating_sub(report.at).max(latest.at.saturating_sub(report.sent_at)),
             paused: report.pauses.is_some_and(|pauses| pauses != latest.pauses),
@@ -72,7 +72,12 @@ impl DeliveryRate {
                 is_kept
             });
         }
-        self.reports.push_back(Arrival { at: now, total: self.total, sent_at: latest.at, pauses: Some(latest.pauses) });
+        self.reports.push_back(ReportedArrival {
+            at: now,
+            total: self.total,
+            sent_at: latest.at,
+            pauses: Some(latest.pauses),
+        });
         sample
     }
 }

@@ -5,11 +5,11 @@ use std::time::Duration;
 use gdp_tests::peers::{self, Vendor};
 use serde::Serialize;
 
-use super::{Load, Measured, Route};
+use super::{BenchRoute, Load, Measured};
 
 #[derive(Serialize)]
 pub struct PathRow {
-    pub route: Route,
+    pub route: BenchRoute,
     /// The cables between the hosts.
     pub cables: &'static str,
     /// Busy loops beside the measurement.
@@ -47,7 +47,7 @@ pub struct Latency {
 }
 
 impl PathRow {
-    pub fn of(route: Route, cables: &'static str, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> Self {
+    pub fn of(route: BenchRoute, cables: &'static str, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> Self {
         let messages = || all.iter().flat_map(|measured| &measured.received);
         let mut sorted: Vec<Duration> = messages().map(|message| message.latency).collect();
         sorted.sort();
