@@ -113,8 +113,11 @@ fn measure(bench: &Bench, setups: &[BenchRoute], bytes: usize, rounds: usize, ra
     }
     let routers =
         setups.iter().position(|route| *route == BenchRoute::Ip).map(|at| medians[at].clone()).unwrap_or_default();
-    let measures =
-        setups.iter().zip(medians).map(|(route, medians)| Measure::new(series(*route), case(bytes), medians));
+    let sent = (COUNT * rounds as u64) as f64;
+    let measures = setups.iter().zip(medians).zip(lost).map(|((route, medians), lost)| Measure {
+        lost_percent: Some(100.0 * lost as f64 / sent),
+        ..Measure::new(series(*route), case(bytes), medians)
+    });
     let paper = Measure::new(PAPER, case(bytes), routers.iter().map(|median| median + PAPER_ADDS).collect());
     Ok(measures.chain([paper]).collect())
 }
