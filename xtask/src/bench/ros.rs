@@ -8,7 +8,7 @@ use anyhow::Result;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, BenchRoute, Cables, Hog, LOAD, Load, Measured, PathRow, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -65,29 +65,13 @@ pub fn run(options: Options) -> Result<()> {
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
     let bench = Bench::prepare(&options.paths, profile)?;
     let cables = Cables { chain: ChainOptions { mtu: options.mtu, ..Default::default() }, faults: None };
-    let _hogs = Hog::several(options.hogs)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
         let routes: Vec<BenchRoute> =
             options.paths.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
-        let count = load.count(options.seconds);
-        let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
-        for _ in 0..options.rounds {
-            for (route, all) in routes.iter().zip(&mut samples) {
-                eprintln!(
-                    "{count} messages of {} B at {} Hz on {} topics: {}",
-                    load.bytes,
-                    load.rate,
-                    load.topics,
-                    route.describe()
-                );
-                all.push(bench.measure(*route, &cables, load, count)?);
-            }
-        }
-        let sent = count * u64::from(options.rounds);
-        let of =
-            |(route, all): (&BenchRoute, &Vec<Measured>)| PathRow::of(*route, "plain", load, options.hogs, sent, all);
-        rows.extend(routes.iter().zip(&samples).map(of));
+        let name = format!("MTU {}", options.mtu);
+        let cell = Cell { name, cables: cables.clone(), hogs: options.hogs, load: *load };
+        rows.extend(bench.measure_in_turn(&cell, &routes, options.rounds, options.seconds)?);
     }
     if options.json {
         println!("{}", serde_json::json!({ "bench": "ros", "switches": 3, "rows": rows }));

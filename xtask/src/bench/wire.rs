@@ -14,7 +14,7 @@ use gdp_faults::Faults;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, BenchRoute, Cables, Hog, LOAD, Load, Measured, PathRow, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -31,7 +31,7 @@ pub struct Options {
     /// Number of alternating measurements per path
     #[arg(long, default_value_t = 1)]
     rounds: u32,
-    /// CableKind of cables to measure; repeat for several. Default: all kinds
+    /// Kind of cables to measure; repeat for several. Default: all kinds
     #[arg(long = "cables", value_enum)]
     cables: Vec<CableKind>,
     /// Measure programs that are built as for the tests: quick to compile, and slower
@@ -144,21 +144,8 @@ pub fn run(options: Options) -> Result<()> {
     let bench = Bench::prepare(&routes, profile)?;
     let mut rows = Vec::new();
     for Case { kind, load, routes } in cases {
-        let (cables, count) = (kind.cables(), load.count(seconds));
-        let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
-        for _ in 0..options.rounds {
-            for (route, all) in routes.iter().zip(&mut samples) {
-                let Load { bytes, rate, .. } = load;
-                eprintln!("{count} messages of {bytes} B at {rate} Hz, {}: {}", kind.name(), route.describe());
-                let _hogs = Hog::several(kind.hogs())?;
-                all.push(bench.measure(*route, &cables, load, count)?);
-            }
-        }
-        let sent = count * u64::from(options.rounds);
-        let of = |(route, all): (&BenchRoute, &Vec<Measured>)| {
-            PathRow::of(*route, kind.name(), load, kind.hogs(), sent, all)
-        };
-        rows.extend(routes.iter().zip(&samples).map(of));
+        let cell = Cell { name: kind.name().to_owned(), cables: kind.cables(), hogs: kind.hogs(), load: *load };
+        rows.extend(bench.measure_in_turn(&cell, routes, options.rounds, seconds)?);
     }
     let cores = std::thread::available_parallelism()?;
     if options.json {

@@ -14,7 +14,7 @@ use gdp_tests::measure::Wanted;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::report;
 
-use crate::bench::paths::{Bench, BenchRoute, Cables, LOAD, Load, PathRow};
+use crate::bench::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, PathRow};
 use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
@@ -94,6 +94,7 @@ pub fn run(options: Options) -> Result<()> {
 /// Measures all setups with messages of one size: their medians, and those of the paper's system.
 fn measure(bench: &Bench, setups: &[BenchRoute], bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
     let load = Load { bytes, rate: (MOST_BYTES / bytes as f64).min(RATE), ..LOAD };
+    let cell = Cell { name: "plain".to_owned(), cables: Cables::default(), hogs: 0, load };
     let mut medians: Vec<Vec<f64>> = setups.iter().map(|_| Vec::new()).collect();
     let mut lost = vec![0; setups.len()];
     for round in 0..rounds {
@@ -103,8 +104,8 @@ fn measure(bench: &Bench, setups: &[BenchRoute], bytes: usize, rounds: usize, ra
         }
         for at in order {
             eprintln!("round {round}: {} of {}", series(setups[at]), case(bytes));
-            let measured = bench.measure(setups[at], &Cables::default(), &load, COUNT)?;
-            let row = PathRow::of(setups[at], "plain", &load, 0, COUNT, &[measured]);
+            let measured = bench.measure(setups[at], &cell.cables, &cell.load, COUNT)?;
+            let row = PathRow::of(setups[at], &cell, COUNT, &[measured]);
             raw.write(&row)?;
             ensure!(row.received > 0, "nothing arrived: {}, {}", series(setups[at]), case(bytes));
             medians[at].push(row.latency_us.p50 / 1000.0);

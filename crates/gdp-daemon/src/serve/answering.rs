@@ -158,9 +158,7 @@ impl Daemon {
             });
         }
     }
-}
 
-impl Daemon {
     /// Tells a switch once more that the local RIB does not know an attachment, until it answers.
     /// After a start of the RIB, the topology may not have converged.
     async fn detach(&self, switch: Name, entity: Name) {

@@ -64,7 +64,8 @@ impl DeliveryRate {
         let resumed = self.reports.iter().map(since).find(|sample| !sample.paused);
         let resumed = resumed.filter(|sample| sample.interval >= LENGTH_AFTER_PAUSE);
         let sample = resumed.or_else(|| self.reports.front().map(since)).unwrap_or_default();
-        self.reports.retain(|report| report.pauses.is_some());
+        // Later samples do not begin when the reader joined.
+        self.reports.pop_front_if(|first| first.pauses.is_none());
         if self.reports.len() >= MOST {
             let mut is_kept = false;
             self.reports.retain(|_| {

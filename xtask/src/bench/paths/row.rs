@@ -5,13 +5,13 @@ use std::time::Duration;
 use gdp_tests::peers::{self, Vendor};
 use serde::Serialize;
 
-use super::{BenchRoute, Load, Measured};
+use super::{BenchRoute, Cell, Load, Measured};
 
 #[derive(Serialize)]
 pub struct PathRow {
     pub route: BenchRoute,
     /// The cables between the hosts.
-    pub cables: &'static str,
+    pub cables: String,
     /// Busy loops beside the measurement.
     pub hogs: u32,
     bytes: usize,
@@ -47,7 +47,7 @@ pub struct Latency {
 }
 
 impl PathRow {
-    pub fn of(route: BenchRoute, cables: &'static str, load: &Load, hogs: u32, sent: u64, all: &[Measured]) -> Self {
+    pub fn of(route: BenchRoute, cell: &Cell, sent: u64, all: &[Measured]) -> Self {
         let messages = || all.iter().flat_map(|measured| &measured.received);
         let mut sorted: Vec<Duration> = messages().map(|message| message.latency).collect();
         sorted.sort();
@@ -59,17 +59,17 @@ impl PathRow {
         let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
         let cpu_us = each(cpu.map(microseconds));
         let machine: Duration = all.iter().map(|measured| measured.machine).sum();
-        let machine_us = each((hogs == 0).then(|| microseconds(machine)));
+        let machine_us = each((cell.hogs == 0).then(|| microseconds(machine)));
         let total = |of: fn(&Measured) -> Option<u64>| all.iter().map(of).sum::<Option<u64>>().map(|sum| sum as f64);
         let wakeups = each(total(|measured| measured.wakeups));
         let system_calls = each(total(|measured| measured.system_calls));
         let damaged = messages().filter(|message| !message.intact).count() as u64;
-        let Load { bytes, rate, topics, vendor, .. } = *load;
+        let Load { bytes, rate, topics, vendor, .. } = cell.load;
         let vendor = if route.has_dds() { vendor_name(vendor) } else { "none" };
         Self {
             route,
-            cables,
-            hogs,
+            cables: cell.name.clone(),
+            hogs: cell.hogs,
             bytes,
             rate,
             topics,
