@@ -34,7 +34,7 @@ use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
 use self::machine::MachineTime;
-pub use self::row::{PathRow, print_table};
+pub use self::row::{PathRow, measure_in_turn, print_table};
 use self::zenoh::{Bridges, Security};
 use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
@@ -203,30 +203,6 @@ impl Bench {
         wait::catch_interrupts();
         netns::sweep()?;
         Ok(Self { tools: workspace::tools(profile), bridge })
-    }
-
-    /// Measures these routes in turn, and returns a row for each.
-    pub fn measure_in_turn(
-        &self,
-        cell: &Cell,
-        routes: &[BenchRoute],
-        rounds: u32,
-        seconds: u32,
-    ) -> Result<Vec<PathRow>> {
-        let Cell { name, cables, hogs, load } = cell;
-        let Load { bytes, rate, topics, .. } = load;
-        let count = load.count(seconds);
-        let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
-        for _ in 0..rounds {
-            for (route, all) in routes.iter().zip(&mut samples) {
-                let what = route.describe();
-                eprintln!("{count} messages of {bytes} B at {rate} Hz on {topics} topics, {name}, {hogs} hogs: {what}");
-                let _hogs = Hog::several(*hogs)?;
-                all.push(self.measure(*route, cables, load, count)?);
-            }
-        }
-        let sent = count * u64::from(rounds);
-        Ok(routes.iter().zip(&samples).map(|(route, all)| PathRow::of(*route, cell, sent, all)).collect())
     }
 
     /// Sends `count` messages on a new network, and measures what arrives.

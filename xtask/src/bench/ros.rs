@@ -8,7 +8,7 @@ use anyhow::Result;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, measure_in_turn, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -71,7 +71,7 @@ pub fn run(options: Options) -> Result<()> {
             options.paths.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
         let name = format!("MTU {}", options.mtu);
         let cell = Cell { name, cables: cables.clone(), hogs: options.hogs, load: *load };
-        rows.extend(bench.measure_in_turn(&cell, &routes, options.rounds, options.seconds)?);
+        rows.extend(measure_in_turn(&bench, &cell, &routes, (options.rounds, options.seconds))?);
     }
     if options.json {
         println!("{}", serde_json::json!({ "bench": "ros", "switches": 3, "rows": rows }));

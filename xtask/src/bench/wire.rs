@@ -14,7 +14,7 @@ use gdp_faults::Faults;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::peers::Vendor;
 
-use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, print_table};
+use super::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, measure_in_turn, print_table};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
@@ -145,7 +145,7 @@ pub fn run(options: Options) -> Result<()> {
     let mut rows = Vec::new();
     for Case { kind, load, routes } in cases {
         let cell = Cell { name: kind.name().to_owned(), cables: kind.cables(), hogs: kind.hogs(), load: *load };
-        rows.extend(bench.measure_in_turn(&cell, routes, options.rounds, seconds)?);
+        rows.extend(measure_in_turn(&bench, &cell, routes, (options.rounds, seconds))?);
     }
     let cores = std::thread::available_parallelism()?;
     if options.json {

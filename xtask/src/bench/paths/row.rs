@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
+use anyhow::Result;
 use gdp_tests::peers::{self, Vendor};
 use serde::Serialize;
 
-use super::{BenchRoute, Cell, Load, Measured};
+use super::{Bench, BenchRoute, Cell, Hog, Load, Measured};
 
 #[derive(Serialize)]
 pub struct PathRow {
@@ -84,6 +85,29 @@ impl PathRow {
             system_calls,
         }
     }
+}
+
+/// Measures these routes in turn, and returns a row for each.
+pub fn measure_in_turn(
+    bench: &Bench,
+    cell: &Cell,
+    routes: &[BenchRoute],
+    (rounds, seconds): (u32, u32),
+) -> Result<Vec<PathRow>> {
+    let Cell { name, cables, hogs, load } = cell;
+    let Load { bytes, rate, topics, .. } = load;
+    let count = load.count(seconds);
+    let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
+    for _ in 0..rounds {
+        for (route, all) in routes.iter().zip(&mut samples) {
+            let what = route.describe();
+            eprintln!("{count} messages of {bytes} B at {rate} Hz on {topics} topics, {name}, {hogs} hogs: {what}");
+            let _hogs = Hog::several(*hogs)?;
+            all.push(bench.measure(*route, cables, load, count)?);
+        }
+    }
+    let sent = count * u64::from(rounds);
+    Ok(routes.iter().zip(&samples).map(|(route, all)| PathRow::of(*route, cell, sent, all)).collect())
 }
 
 fn vendor_name(vendor: Vendor) -> &'static str {
