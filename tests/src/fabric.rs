@@ -15,6 +15,7 @@ use crate::netns::{Namespace, execute};
 use crate::process::Process;
 use crate::programs::{Executable as _, Program, own};
 use crate::tools::Tools;
+use crate::topics::{self, BothEnds, FabricTopic, ProxyPlan};
 use crate::wait::{TIMEOUT, wait_for};
 
 #[derive(Clone, Debug)]
@@ -142,6 +143,15 @@ impl Fabric {
         self.wait_for_route()
     }
 
+    /// Starts both proxies with these topics instead of [`TOPIC`].
+    pub fn start_proxies_of(&mut self, topics: &[FabricTopic]) -> Result<()> {
+        let BothEnds { robot, cloud, .. } =
+            Authority { tools: &self.tools, folder: self.files.path() }.topics(topics, &[])?;
+        self.cloud = Some(self.start_proxy_of("cloud", self.chain.cloud(), "l0", cloud)?);
+        self.robot = Some(self.start_proxy_of("robot", self.chain.robot(), "r0", robot)?);
+        Ok(())
+    }
+
     pub fn start_robot(&mut self) -> Result<()> {
         self.robot = Some(self.start_proxy("robot", "out", self.chain.robot(), "r0")?);
         Ok(())
@@ -244,7 +254,6 @@ impl Fabric {
     }
 
     fn start_proxy(&self, label: &str, direction: &str, at: &Namespace, interface: &str) -> Result<Process> {
-        let file = |name: &str| self.folder_of(label).join(name);
         let options = &self.options;
         let right = if direction == "in" { "grant" } else { "cert" };
         let topic = |i: u32| {
@@ -259,23 +268,17 @@ impl Fabric {
                 },
             })
         };
-        let link = match (options.udp, interface) {
+        self.start_proxy_of(label, at, interface, (0..options.topics).map(topic).collect())
+    }
+
+    fn start_proxy_of(&self, label: &str, at: &Namespace, interface: &str, entries: Vec<Value>) -> Result<Process> {
+        let link = match (self.options.udp, interface) {
             (false, _) => format!("eth://{interface}"),
-            (true, "r0") => format!("udp://{}", options.chain.right_of(0)),
-            (true, _) => format!("udp://{}", options.chain.left_of(options.chain.switches + 1)),
+            (true, "r0") => format!("udp://{}", self.options.chain.right_of(0)),
+            (true, _) => format!("udp://{}", self.options.chain.left_of(self.options.chain.switches + 1)),
         };
-        let config = json!({
-            "identity": "key.pem",
-            "links": [{"to": link}],
-            "version": 1,
-            "graphs": {"ros2": {"domain_id": 0}},
-            "topics": (0..options.topics).map(topic).collect::<Vec<_>>(),
-        });
-        let path = file("proxy.yaml");
-        write_yaml(&path, &config)?;
-        let mut command = at.command(self.tools.gdp_proxy()?)?;
-        command.arg("--config").arg(path).arg("--stats").arg(file("stats.json"));
-        Process::spawn(&format!("{label}-proxy"), command, self.files.path())
+        let plan = ProxyPlan { links: vec![&link], graphs: topics::ros2(), topics: entries, peers: None };
+        plan.start(&self.tools, at, self.files.path(), label)
     }
 }
 
@@ -379,9 +382,19 @@ impl Authority<'_> {
         self.key(label, "key.pem", "proxy")
     }
 
+    /// Creates the owner's key.
+    pub(crate) fn owner(&self) -> Result<String> {
+        self.key(OWNER, "owner.pem", "owner")
+    }
+
+    /// Returns the name of a proxy whose key exists.
+    pub(crate) fn name_of(&self, label: &str) -> Result<String> {
+        field(&self.ctl(label, &["key", "show", "key.pem", "--kind", "proxy"])?, "name")
+    }
+
     /// Creates the owner's key and the topic, and returns the topic's name.
     pub fn topic(&self) -> Result<String> {
-        self.key(OWNER, "owner.pem", "owner")?;
+        self.owner()?;
         self.name("topic", TOPIC, TYPE, "chatter.card")
     }
 
@@ -398,8 +411,7 @@ impl Authority<'_> {
         let name = format!("chatter{i}");
         self.name("topic", &format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
         for (label, right) in [("robot", "--publish"), ("cloud", "--read")] {
-            let entity = field(&self.ctl(label, &["key", "show", "key.pem", "--kind", "proxy"])?, "name")?;
-            self.hand(label, &entity, &[right], &name)?;
+            self.hand(label, &self.name_of(label)?, &[right], &name)?;
         }
         Ok(())
     }

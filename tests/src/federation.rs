@@ -26,11 +26,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
-use crate::fabric::{Authority, Switch, TOPIC, TYPE, write_yaml};
+use crate::fabric::{Authority, Switch, TOPIC, TYPE};
 use crate::netns::{End, Namespace, veth};
 use crate::packet::PacketSocket;
 use crate::process::Process;
 use crate::tools::Tools;
+use crate::topics::{BothEnds, FabricTopic, ProxyPlan, ros2};
 use crate::wait::{TIMEOUT, wait_for};
 
 /// The switches that the robot may attach to, in its order: the enterprise's, then the university's
@@ -310,8 +311,14 @@ impl Federation {
         let publish = ["--publish", "--scope", enterprise, "--scope", university];
         authority.grant("robot", &self.admit("robot")?, &publish)?;
         authority.grant("cloud", &self.admit("cloud")?, &["--read"])?;
-        self.cloud_proxy = Some(self.start_proxy("cloud", "in", &self.cloud, &[CLOUD_LINK], &[])?);
-        self.robot_proxy = Some(self.start_proxy("robot", "out", &self.robot, &ROBOT_LINKS, &["visit.peer"])?);
+        let entry = |direction, right: &str| {
+            json!({
+                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", (right): "chatter.cert",
+                "qos": {"reliability": "reliable", "durability": "volatile", "depth": 100},
+            })
+        };
+        self.cloud_proxy = Some(self.start_cloud(vec![entry("in", "grant")], ros2())?);
+        self.robot_proxy = Some(self.start_robot(vec![entry("out", "cert")])?);
         for switch in ["a1", "b2"] {
             self.wait(&format!("{switch} to hold {name}"), |it| {
                 Ok(it.ctl(switch, &["fib", "dump"])?.to_string().contains(&name))
@@ -321,31 +328,29 @@ impl Federation {
         Ok(())
     }
 
-    fn start_proxy(
-        &self,
-        label: &str,
-        direction: &str,
-        at: &Namespace,
-        links: &[&str],
-        peers: &[&str],
-    ) -> Result<Process> {
-        let right = if direction == "in" { "grant" } else { "cert" };
-        let config = json!({
-            "identity": "key.pem",
-            "links": links.iter().map(|to| json!({"to": to})).collect::<Vec<_>>(),
-            "domain": {"card": "domain.card", "membership": "membership", "peers": peers},
-            "version": 1,
-            "graphs": {"ros2": {"domain_id": 0}},
-            "topics": [{
-                "topic": TOPIC, "type": TYPE, "direction": direction, "card": "chatter.card", (right): "chatter.cert",
-                "qos": {"reliability": "reliable", "durability": "volatile", "depth": 100},
-            }],
-        });
-        let path = self.folder_of(label).join("proxy.yaml");
-        write_yaml(&path, &config)?;
-        let mut command = at.command(self.tools.gdp_proxy()?)?;
-        command.arg("--config").arg(path);
-        Process::spawn(&format!("{label}-proxy"), command, self.files.path())
+    /// Starts both proxies with these topics instead of [`TOPIC`].
+    pub fn start_proxies_of(&mut self, topics: &[FabricTopic]) -> Result<()> {
+        for end in [&self.robot, &self.cloud] {
+            end.enable_loopback_multicast()?;
+        }
+        let authority = Authority { tools: &self.tools, folder: self.files.path() };
+        authority.owner()?;
+        ["robot", "cloud"].into_iter().try_for_each(|label| self.admit(label).map(drop))?;
+        let BothEnds { robot, cloud, cloud_graphs } =
+            authority.topics(topics, &[&self.domains.enterprise, &self.domains.university])?;
+        self.cloud_proxy = Some(self.start_cloud(cloud, cloud_graphs)?);
+        self.robot_proxy = Some(self.start_robot(robot)?);
+        Ok(())
+    }
+
+    fn start_robot(&self, topics: Vec<Value>) -> Result<Process> {
+        let plan = ProxyPlan { links: ROBOT_LINKS.to_vec(), graphs: ros2(), topics, peers: Some(&["visit.peer"]) };
+        plan.start(&self.tools, &self.robot, self.files.path(), "robot")
+    }
+
+    fn start_cloud(&self, topics: Vec<Value>, graphs: Value) -> Result<Process> {
+        let plan = ProxyPlan { links: vec![CLOUD_LINK], graphs, topics, peers: Some(&[]) };
+        plan.start(&self.tools, &self.cloud, self.files.path(), "cloud")
     }
 
     /// Captures all frames of the robot, on the inside of its NAT.

@@ -9,6 +9,7 @@
 //! - [`dds_domain`]: a DDS domain for each test
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its
 //!   ends
+//! - [`topics`]: topics between robot and cloud, and the proxies that carry them
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: rounds, figures, tables, plots
 //! - [`system_calls`]: how many system calls programs make
@@ -37,6 +38,7 @@ pub mod ring;
 pub mod schema;
 pub mod system_calls;
 pub mod tools;
+pub mod topics;
 pub mod wait;
 pub mod wire;
 

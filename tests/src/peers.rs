@@ -52,6 +52,8 @@ pub struct Traffic {
     pub node: Option<String>,
     /// TCP and QUIC only.
     pub tls: Option<Tls>,
+    /// Turns on DDS Security with the files in this folder. Fast DDS only.
+    pub security: Option<PathBuf>,
 }
 
 /// The listener's key, and its certificate, which the talker trusts. Both are PEM files.
@@ -81,6 +83,7 @@ impl Default for Traffic {
             topics: 1,
             node: None,
             tls: None,
+            security: None,
         }
     }
 }
@@ -231,6 +234,9 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
     }
     if let Some(Tls { key, certificate }) = &traffic.tls {
         command.arg("--key").arg(key).arg("--certificate").arg(certificate);
+    }
+    if let Some(folder) = &traffic.security {
+        command.arg("--security").arg(folder);
     }
     if let Some(node) = &traffic.node {
         command.args(["--node", node]);

@@ -19,7 +19,9 @@ use serde_json::{Value, json};
 
 use crate::fabric::{Authority, Mounted, Switch};
 use crate::netns::{End, Namespace, veth};
+use crate::process::Process;
 use crate::tools::Tools;
+use crate::topics::{BothEnds, FabricTopic, ProxyPlan, ros2};
 use crate::wait::{TIMEOUT, wait_for};
 
 const SWITCHES: usize = 5;
@@ -82,6 +84,19 @@ impl Ring {
         Ok(ring)
     }
 
+    /// Starts a proxy for the robot and one for the cloud, with these topics.
+    pub fn start_proxies_of(&self, topics: &[FabricTopic]) -> Result<[Process; 2]> {
+        let BothEnds { robot, cloud, .. } =
+            Authority { tools: &self.tools, folder: self.files.path() }.topics(topics, &[])?;
+        let start = |label, at: &Namespace, link, topics| {
+            at.enable_loopback_multicast()?;
+            let plan = ProxyPlan { links: vec![link], graphs: ros2(), topics, peers: None };
+            plan.start(&self.tools, at, self.files.path(), label)
+        };
+        let cloud = start("cloud", &self.cloud, "eth://l0", cloud)?;
+        Ok([start("robot", &self.robot, "eth://r0", robot)?, cloud])
+    }
+
     /// Runs a `gdp-ctl` command against the daemon of switch `i` and returns its JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         self.switches[i].ctl(&self.tools, arguments)
@@ -119,6 +134,36 @@ impl Ring {
     pub fn set_cable(&self, i: usize, plugged: bool) -> Result<()> {
         let state = if plugged { "up" } else { "down" };
         self.nodes[i].ip(&["link", "set", "r0", state]).map(drop)
+    }
+
+    /// Cuts switch `i` off with its daemon, as a power failure does.
+    pub fn power_off(&mut self, i: usize) -> Result<()> {
+        self.set_cables_of(i, false)?;
+        self.switches[i].process.kill().map(drop)
+    }
+
+    /// Ends [`Self::power_off`].
+    pub fn power_on(&mut self, i: usize) -> Result<()> {
+        self.set_cables_of(i, true)?;
+        self.start_again(i)
+    }
+
+    fn set_cables_of(&self, i: usize, plugged: bool) -> Result<()> {
+        [(i + SWITCHES - 1) % SWITCHES, i].into_iter().try_for_each(|cable| self.set_cable(cable, plugged))
+    }
+
+    /// Returns the switches from the robot to the cloud, as each knows the next one.
+    pub fn path(&self) -> Result<Vec<usize>> {
+        let (mut at, mut path) = (ROBOT_AT, vec![ROBOT_AT]);
+        while at != CLOUD_AT && path.len() <= SWITCHES {
+            let topology = self.ctl(at, &["topology"])?;
+            let to = topology["switches"].as_array().into_iter().flatten();
+            let next = to.into_iter().find(|switch| switch["switch"] == *self.switches[CLOUD_AT].name);
+            let next = next.and_then(|switch| switch["next"].as_str()).context("no path to the cloud")?;
+            at = self.switches.iter().position(|switch| switch.name == next).context("a switch of the ring")?;
+            path.push(at);
+        }
+        Ok(path)
     }
 
     /// Waits until a condition holds. An error, for example of a daemon that does not answer yet,

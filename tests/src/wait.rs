@@ -26,6 +26,16 @@ pub fn wait_for<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> R
     }
 }
 
+/// Waits for a fixed time, or until Ctrl-C. Only for what is itself a schedule.
+pub fn sleep(time: Duration) -> Result<()> {
+    let deadline = Instant::now() + time;
+    while let Some(rest) = deadline.checked_duration_since(Instant::now()).filter(|rest| !rest.is_zero()) {
+        std::thread::sleep(rest.min(Duration::from_millis(50)));
+        check_interrupt()?;
+    }
+    Ok(())
+}
+
 /// Makes Ctrl-C and SIGTERM fail every wait instead of ending the process. Guards then clean up.
 pub fn catch_interrupts() {
     extern "C" fn note(_: libc::c_int) {

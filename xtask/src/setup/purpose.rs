@@ -19,6 +19,8 @@ pub enum Purpose {
     Demo,
     /// Run the benchmarks
     Bench,
+    /// Make the paper's evaluation again
+    Eval,
     /// Test setup and build on a clean Debian root
     Fresh,
     /// Run `.ci/run`
@@ -54,6 +56,8 @@ pub enum SetupPart {
     Ros2,
     /// Compile the bridge that `bench ros` measures against.
     Zenoh,
+    /// Run the workloads of the paper's evaluation.
+    Eval,
     /// Make a clean Debian root.
     Fresh,
 }
@@ -61,7 +65,8 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Dds, Dpdk, Ebpf, Etcd, EtcdClient, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace, Zenoh,
+            Dds, Dpdk, Ebpf, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace,
+            Zenoh,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -71,10 +76,11 @@ impl Purpose {
             Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
+            Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Eval],
             Self::Fresh => &[Fresh, Git, Namespaces],
-            Self::Ci => {
-                &[Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Fresh]
-            }
+            Self::Ci => &[
+                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Eval, Fresh,
+            ],
         }
     }
 }

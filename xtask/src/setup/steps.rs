@@ -58,6 +58,9 @@ const NOTHING: SetupStep = SetupStep {
     elsewhere: "",
 };
 
+/// The Python environment of the evaluation's workloads.
+pub const EVAL_ENVIRONMENT: &str = "venv-eval";
+
 pub const STEPS: &[SetupStep] = &[
     SetupStep {
         part: SetupPart::Workspace,
@@ -265,6 +268,21 @@ pub const STEPS: &[SetupStep] = &[
             "ros-jazzy-test-msgs==2.0.3",
         ],
         environment: "venv-jazzy",
+        ..WHEELS
+    },
+    SetupStep {
+        part: SetupPart::Eval,
+        what: "ORB-SLAM, OMPL, FCL, OpenCV and Cyclone DDS for Python",
+        why: "`eval table1` runs real workloads, in an environment of their own",
+        wheels: &[
+            "pyorbslam3==0.1.1",
+            "ompl==2.0.1",
+            "python-fcl==0.7.0.11",
+            "opencv-python-headless==5.0.0.93",
+            "numpy==2.4.6",
+            "cyclonedds==11.0.1",
+        ],
+        environment: EVAL_ENVIRONMENT,
         ..WHEELS
     },
     SetupStep {

@@ -51,6 +51,12 @@ impl Bridges {
     pub fn processes(&self) -> Vec<&Process> {
         self.0.iter().collect()
     }
+
+    /// Returns the bridge of the robot, and that of the cloud.
+    pub fn ends(&self) -> [&Process; 2] {
+        let [cloud, robot] = &self.0;
+        [robot, cloud]
+    }
 }
 
 fn config(mut config: Value, secrets: Option<&Tls>, low_latency: bool) -> Value {

@@ -1,0 +1,146 @@
+//! Table I of the paper: vSLAM, motion planning and grasp planning, on the robot alone and on the
+//! edge, over each network.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum as _;
+use gdp_tests::wait;
+use serde::Serialize;
+
+use super::bars;
+use super::links::LinkKind;
+use super::plots;
+use super::raw::RawRows;
+use super::site::{Setup, Site};
+use super::tools::EvalTools;
+use super::trial::{Requests, Running, Times, Trial};
+use super::workload::Workload;
+use crate::workspace::Profile;
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Print one JSON object a row on stdout instead of tables
+    #[arg(long)]
+    pub json: bool,
+    /// Draw plots into this folder
+    #[arg(long)]
+    pub plots: Option<PathBuf>,
+    /// Number of alternating measurements per setup
+    #[arg(long, default_value_t = 1)]
+    pub rounds: u32,
+    /// Ask few requests, on plain links and without zenoh's bridges, which build for ten minutes
+    #[arg(long)]
+    pub quick: bool,
+    /// Measure programs that are built as for the tests: quick to compile, and slower
+    #[arg(long)]
+    pub checked: bool,
+    /// Kind of links to measure; repeat for several. Default: all kinds
+    #[arg(long = "links", value_enum)]
+    pub links: Vec<LinkKind>,
+    /// Workload to measure; repeat for several. Default: all
+    #[arg(long = "workload", value_enum)]
+    pub workloads: Vec<Workload>,
+}
+
+/// One line of the table.
+#[derive(Serialize)]
+pub struct TableRow {
+    pub workload: &'static str,
+    #[serde(skip)]
+    pub of: Workload,
+    pub setup: Setup,
+    pub links: LinkKind,
+    pub round: u32,
+    #[serde(flatten)]
+    pub trial: Trial,
+}
+
+pub fn run(options: &Options) -> Result<()> {
+    let all =
+        |chosen: &[Workload]| if chosen.is_empty() { Workload::value_variants().to_vec() } else { chosen.to_vec() };
+    let links = match (&options.links[..], options.quick) {
+        ([], true) => vec![LinkKind::Plain],
+        ([], false) => LinkKind::value_variants().to_vec(),
+        (chosen, _) => chosen.to_vec(),
+    };
+    let profile = if options.checked { Profile::Checked } else { Profile::Dist };
+    let tools = EvalTools::prepare(profile, !options.quick)?;
+    let mut raw = RawRows::create("table1")?;
+    let mut rows = Vec::new();
+    for links in links {
+        for workload in all(&options.workloads) {
+            for round in 0..options.rounds.max(1) {
+                for setup in setups(links, options.quick) {
+                    eprintln!("{}: {}, {} links", workload.describe(), setup.describe(), links.name());
+                    let trial = measure(&tools, setup, links, workload, requests(workload, options.quick))?;
+                    let row = TableRow { workload: workload.name(), of: workload, setup, links, round, trial };
+                    raw.write(&row)?;
+                    if options.json {
+                        println!("{}", serde_json::to_string(&row)?);
+                    }
+                    rows.push(row);
+                }
+            }
+        }
+    }
+    raw.finish();
+    if !options.json {
+        print_table(&rows);
+        bars::of_table(&rows).iter().for_each(|bar| println!("{bar}"));
+    }
+    options.plots.as_deref().map_or(Ok(()), |folder| plots::draw(&rows, folder))
+}
+
+/// Returns the setups whose network can have these links.
+fn setups(links: LinkKind, quick: bool) -> Vec<Setup> {
+    let all = Setup::ALL.into_iter().filter(|setup| !quick || *setup != Setup::Zenoh);
+    all.filter(|setup| links == LinkKind::Plain || setup.has_wire()).collect()
+}
+
+fn requests(workload: Workload, quick: bool) -> Requests {
+    const SLAM_RATE: f64 = 10.0;
+    let count = match (workload, quick) {
+        (Workload::Slam, false) => 200,
+        (Workload::Slam, true) => 50,
+        (_, false) => 20,
+        (_, true) => 4,
+    };
+    Requests { count, rate: SLAM_RATE }
+}
+
+fn measure(tools: &EvalTools, setup: Setup, links: LinkKind, workload: Workload, requests: Requests) -> Result<Trial> {
+    wait::check_interrupt()?;
+    let folder = tempfile::Builder::new().prefix("gdp-eval-").tempdir().context("cannot create a folder")?;
+    let site = Site::start(tools, setup, &links.cables(), workload.topics(), folder.path())?;
+    Running::start(tools, &site, workload, requests, folder.path())?.finish(&site)
+}
+
+/// Prints all rows as a table of Markdown.
+fn print_table(rows: &[TableRow]) {
+    println!(
+        "| workload | links | setup | answered | to the edge | compute | to the robot | total | robot's CPU | \
+         wake-ups/s | uplink | result |"
+    );
+    println!("|{}", " --- |".repeat(12));
+    for TableRow { of, setup, links, trial, .. } in rows {
+        let times = |Times { p50, p99 }| format!("{p50:.1} ({p99:.1})");
+        println!(
+            "| {} | {} | {} | {}/{} | {} | {} | {} | {} | {:.1} ms | {:.0} | {:.2} MB | {} |",
+            of.describe(),
+            links.name(),
+            setup.describe(),
+            trial.requests - trial.lost,
+            trial.requests,
+            times(trial.to_edge_ms),
+            times(trial.compute_ms),
+            times(trial.to_robot_ms),
+            times(trial.total_ms),
+            trial.robot_cpu_ms,
+            trial.robot_wakeups,
+            trial.uplink_bytes / 1e6,
+            of.result(&trial.result),
+        );
+    }
+    println!("Times in milliseconds, median and (p99). CPU and uplink per request.");
+}
