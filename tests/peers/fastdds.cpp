@@ -37,7 +37,7 @@ using StringType = std_msgs::msg::dds_::String_PubSubType;
 namespace {
 
 struct Arguments {
-    std::string verb, gate, topic = "rt/chatter", peer, text = "hello from the robot";
+    std::string verb, gate, topic = "rt/chatter", peer, security, text = "hello from the robot";
     int domain = 0, depth = 10, topics = 1;
     bool best_effort = false, transient_local = false, no_wait = false;
     uint64_t count = 0, size = 64;
@@ -64,6 +64,7 @@ Arguments parse(int argc, char** argv) {
         if (flag == "--topic") a.topic = value;
         else if (flag == "--topics") a.topics = std::max(1, std::atoi(value.c_str()));
         else if (flag == "--peer") a.peer = value;
+        else if (flag == "--security") a.security = value;
         else if (flag == "--gate") a.gate = value;
         else if (flag == "--text") a.text = value;
         else if (flag == "--domain") a.domain = std::atoi(value.c_str());
@@ -107,6 +108,24 @@ uint32_t crc32(const char* data, size_t length) {
     return ~crc;
 }
 
+// DDS Security as SROS 2 sets it up: authentication, access control and encryption by the plugins
+// that every vendor has. The folder has one participant's files.
+void secure(DomainParticipantQos& qos, const std::string& folder) {
+    auto& properties = qos.properties().properties();
+    auto set = [&](const std::string& name, const std::string& value) { properties.emplace_back(name, value); };
+    auto file = [&](const char* name) { return "file://" + folder + "/" + name; };
+    const std::string authentication = "dds.sec.auth.builtin.PKI-DH.", access = "dds.sec.access.builtin.Access-Permissions.";
+    set("dds.sec.auth.plugin", "builtin.PKI-DH");
+    set(authentication + "identity_ca", file("authority.crt"));
+    set(authentication + "identity_certificate", file("identity.crt"));
+    set(authentication + "private_key", file("identity.key"));
+    set("dds.sec.access.plugin", "builtin.Access-Permissions");
+    set(access + "permissions_ca", file("authority.crt"));
+    set(access + "governance", file("governance.p7s"));
+    set(access + "permissions", file("permissions.p7s"));
+    set("dds.sec.crypto.plugin", "builtin.AES-GCM-GMAC");
+}
+
 DomainParticipant* participant(const Arguments& a) {
     DomainParticipantQos qos = PARTICIPANT_QOS_DEFAULT;
     // UDP alone: two Fast DDS programs on one machine would otherwise communicate through shared
@@ -123,6 +142,7 @@ DomainParticipant* participant(const Arguments& a) {
         Locator_t any;
         builtin.metatrafficUnicastLocatorList.push_back(any);
     }
+    if (!a.security.empty()) secure(qos, a.security);
     auto* p = DomainParticipantFactory::get_instance()->create_participant(a.domain, qos);
     if (p == nullptr) { std::fprintf(stderr, "fastdds-peer: no participant in domain %d\n", a.domain); std::exit(1); }
     return p;

@@ -6,12 +6,17 @@
 //!  gdp-udp  the same, with the frames in UDP over IPv4
 //!  zenoh    talker ─lo─ zenoh-bridge ─ r1 ── r2 ── r3 ─ zenoh-bridge ─lo─ listener     (kernel IPv4)
 //!  ip       talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4)
+//!  cable    talker ────────────────────────────────────────────────────── listener     (one network)
 //!  local    talker ─lo─ listener                                                       (one host)
+//!  gdp-nat  talker ─lo─ gdp-proxy ─ NAT ─ s1 ═ b1 ─ b3 ═ b2 ─ NAT ─ gdp-proxy ─lo─ listener
 //!  tcp, tls, quinn: as ip, over a connection instead of DDS
+//!  fast-dds: as ip, with Fast DDS at both ends; secured with DDS Security
 //! ```
 //!
-//! `ip`, `local`, `tcp` and `zenoh` are in clear, the others encrypted.
+//! In `gdp-nat`, `═` is the border of a trust domain ([`gdp_tests::federation`]). `ip`, `cable`,
+//! `local`, `tcp`, `zenoh` and `fast-dds` are in clear, the others encrypted.
 
+mod dds_security;
 mod machine;
 mod row;
 mod secrets;
@@ -24,6 +29,7 @@ use anyhow::{Result, bail};
 use gdp_faults::Faults;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::fabric::{Fabric, FabricOptions};
+use gdp_tests::federation::Federation;
 use gdp_tests::netns::{self, Namespace};
 use gdp_tests::peers::{Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
@@ -35,7 +41,7 @@ use serde::Serialize;
 
 use self::machine::MachineTime;
 pub use self::row::{PathRow, measure_in_turn, print_table};
-use self::zenoh::{Bridges, Security};
+pub use self::zenoh::{Bridges, Security};
 use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
 use crate::setup::{self, Purpose};
@@ -46,8 +52,16 @@ use crate::workspace::{self, Profile};
 pub enum BenchRoute {
     Gdp,
     GdpUdp,
+    /// Both ends behind NAT, in two trust domains below a third.
+    GdpNat,
     Ip,
+    /// Two hosts in one network.
+    Cable,
     Local,
+    /// Fast DDS at both ends, over routers.
+    FastDds,
+    /// The same, with DDS Security.
+    FastDdsSecured,
     Tcp,
     /// TLS over TCP.
     TcpTls,
@@ -62,7 +76,7 @@ pub enum BenchRoute {
 
 impl BenchRoute {
     fn is_gdp(self) -> bool {
-        matches!(self, Self::Gdp | Self::GdpUdp)
+        matches!(self, Self::Gdp | Self::GdpUdp | Self::GdpNat)
     }
 
     fn is_zenoh(self) -> bool {
@@ -73,15 +87,31 @@ impl BenchRoute {
         matches!(self, Self::Quinn | Self::QuinnStreams)
     }
 
-    fn has_dds(self) -> bool {
-        !self.is_quinn() && !matches!(self, Self::Tcp | Self::TcpTls)
+    /// Returns whether the path consists of [`Cables`]. Others have none, or their own network.
+    pub fn has_cables(self) -> bool {
+        !matches!(self, Self::Local | Self::GdpNat)
+    }
+
+    /// Returns the programs at both ends, for a load of this vendor.
+    fn ends(self, of_load: Vendor) -> Vendor {
+        match self {
+            Self::Tcp | Self::TcpTls => Vendor::Tcp,
+            Self::Quinn => Vendor::Quic,
+            Self::QuinnStreams => Vendor::QuicStreams,
+            Self::FastDds | Self::FastDdsSecured => Vendor::FastDds,
+            _ => of_load,
+        }
     }
 
     pub fn describe(self) -> &'static str {
         match self {
             Self::Gdp => "gdp: proxy, 3 XDP switches, proxy",
             Self::GdpUdp => "gdp: the same, over UDP",
+            Self::GdpNat => "gdp: NAT, 4 switches in 3 domains, NAT",
             Self::Ip => "ip: 3 kernel routers, in clear",
+            Self::Cable => "cable: one network, in clear",
+            Self::FastDds => "fast dds: 3 routers, in clear",
+            Self::FastDdsSecured => "fast dds: 3 routers, DDS Security",
             Self::Local => "local: one host, in clear",
             Self::Tcp => "tcp: 3 kernel routers, in clear",
             Self::TcpTls => "tcp: 3 routers, TLS",
@@ -139,18 +169,25 @@ impl Cables {
         Self { chain: ChainOptions { wire: Some(chain.switches), ..chain }, faults: Some(faults) }
     }
 
-    fn disturb(&self, chain: &Chain) -> Result<Option<Wire>> {
+    pub fn disturb(&self, chain: &Chain) -> Result<Option<Wire>> {
         const SEED: u64 = 20;
         let Some(faults) = &self.faults else { return Ok(None) };
         chain.disturb_wire([faults.clone(), faults.clone()], SEED).map(Some)
     }
 
-    fn routers(&self) -> Result<Chain> {
+    pub fn routers(&self) -> Result<Chain> {
         let chain = Chain::build(self.chain)?;
         chain.become_ip_routers()?;
         for end in [chain.robot(), chain.cloud()] {
             end.enable_loopback_multicast()?;
         }
+        Ok(chain)
+    }
+
+    /// Returns two hosts on one cable, over which DDS finds its peers by multicast.
+    fn network(&self) -> Result<Chain> {
+        let chain = Chain::build(ChainOptions { switches: 0, wire: self.chain.wire.map(|_| 0), ..self.chain })?;
+        chain.become_ip_routers()?;
         Ok(chain)
     }
 }
@@ -205,54 +242,84 @@ impl Bench {
         Ok(Self { tools: workspace::tools(profile), bridge })
     }
 
-    /// Sends `count` messages on a new network, and measures what arrives.
+    /// Sends `count` messages on a new network, and measures what arrives. `cables` are those of
+    /// the network, if [`BenchRoute::has_cables`].
     pub fn measure(&self, route: BenchRoute, cables: &Cables, load: &Load, count: u64) -> Result<Measured> {
-        let on_loopback = load.vendor == Vendor::Cyclone && route != BenchRoute::Ip;
         let Load { bytes: size, rate, topics, depth, vendor } = *load;
+        let vendor = route.ends(vendor);
+        let on_loopback = vendor == Vendor::Cyclone && !matches!(route, BenchRoute::Ip | BenchRoute::Cable);
         let traffic = Traffic { count, rate, size, topics, depth, on_loopback, ..Default::default() };
         let folder = tempfile::Builder::new().prefix("gdp-bench-").tempdir()?;
-        let folder = folder.path();
-        if route == BenchRoute::Local {
-            let host = Namespace::create("local")?;
-            host.enable_loopback_multicast()?;
-            return converse(&self.tools, vendor, [(&host, &traffic), (&host, &traffic)], &Between::default(), folder);
+        let talk = Talk { tools: &self.tools, vendor, traffic: &traffic, folder: folder.path() };
+        match route {
+            BenchRoute::Local => {
+                let host = Namespace::create("local")?;
+                host.enable_loopback_multicast()?;
+                talk.between([&host, &host], &Between::default())
+            }
+            BenchRoute::Cable => {
+                let chain = cables.network()?;
+                let wire = cables.disturb(&chain)?;
+                talk.between([chain.robot(), chain.cloud()], &Between::default()).inspect(|_| check(wire.as_ref()))
+            }
+            BenchRoute::Gdp | BenchRoute::GdpUdp => self.over_fabric(route, cables, &talk),
+            BenchRoute::GdpNat => self.over_federation(&talk),
+            _ => self.over_routers(route, cables, &talk),
         }
-        if route.is_gdp() {
-            let options =
-                FabricOptions { topics, udp: route == BenchRoute::GdpUdp, chain: cables.chain, ..Default::default() };
-            let mut fabric = Fabric::start(self.tools.clone(), options)?;
-            let wire = cables.disturb(&fabric.chain)?;
-            fabric.start_proxies()?;
-            let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
-            let between = Between {
-                proxies: fabric.robot.iter().chain(&fabric.cloud).collect(),
-                switches: fabric.switches.iter().map(|switch| &switch.process).collect(),
-            };
-            let measured = converse(&self.tools, vendor, ends, &between, folder)?;
-            check(wire.as_ref());
-            return Ok(Measured { repeated: Some(repeated(&fabric)), ..measured });
-        }
+    }
+
+    fn over_fabric(&self, route: BenchRoute, cables: &Cables, talk: &Talk<'_>) -> Result<Measured> {
+        let topics = talk.traffic.topics;
+        let udp = route == BenchRoute::GdpUdp;
+        let options = FabricOptions { topics, udp, chain: cables.chain, ..Default::default() };
+        let mut fabric = Fabric::start(self.tools.clone(), options)?;
+        let wire = cables.disturb(&fabric.chain)?;
+        fabric.start_proxies()?;
+        let between = Between {
+            proxies: fabric.robot.iter().chain(&fabric.cloud).collect(),
+            switches: fabric.switches.iter().map(|switch| &switch.process).collect(),
+        };
+        let measured = talk.between([fabric.chain.robot(), fabric.chain.cloud()], &between)?;
+        check(wire.as_ref());
+        Ok(Measured { repeated: Some(repeated(&fabric)), ..measured })
+    }
+
+    fn over_federation(&self, talk: &Talk<'_>) -> Result<Measured> {
+        /// The switches from the robot to the cloud.
+        const PATH: [&str; 4] = ["a1", "b1", "b3", "b2"];
+        let mut federation = Federation::start(self.tools.clone())?;
+        federation.start_proxies()?;
+        let switches = PATH.iter().map(|label| Ok(&federation.switch(label)?.process)).collect::<Result<_>>()?;
+        let proxies = federation.robot_proxy.iter().chain(&federation.cloud_proxy).collect();
+        talk.between([&federation.robot, &federation.cloud], &Between { proxies, switches })
+    }
+
+    fn over_routers(&self, route: BenchRoute, cables: &Cables, talk: &Talk<'_>) -> Result<Measured> {
         let chain = cables.routers()?;
         let wire = cables.disturb(&chain)?;
         let (robot, cloud) = chain.ip_ends();
+        let Talk { traffic, folder, .. } = *talk;
         let to = |peer: &str| Traffic { peer: Some(peer.to_owned()), ..traffic.clone() };
-        let run = |vendor, talks: &Traffic, hears: &Traffic, between: &Between<'_>| {
+        let run = |talks: &Traffic, hears: &Traffic, between: &Between<'_>| {
             let ends = [(chain.robot(), talks), (chain.cloud(), hears)];
-            converse(&self.tools, vendor, ends, between, folder).inspect(|_| check(wire.as_ref()))
-        };
-        let over_tls = |vendor| {
-            let tls = Some(secrets::make(&cloud, folder)?);
-            let (talks, hears) = (Traffic { tls: tls.clone(), ..to(&cloud) }, Traffic { tls, ..traffic.clone() });
-            run(vendor, &talks, &hears, &Between::default())
+            talk.converse(ends, between).inspect(|_| check(wire.as_ref()))
         };
         match route {
-            BenchRoute::Tcp => run(Vendor::Tcp, &to(&cloud), &traffic, &Between::default()),
-            BenchRoute::TcpTls => over_tls(Vendor::Tcp),
-            BenchRoute::Quinn => over_tls(Vendor::Quic),
-            BenchRoute::QuinnStreams => over_tls(Vendor::QuicStreams),
+            BenchRoute::Tcp => run(&to(&cloud), traffic, &Between::default()),
+            BenchRoute::TcpTls | BenchRoute::Quinn | BenchRoute::QuinnStreams => {
+                let tls = Some(secrets::make(&cloud, folder)?);
+                let (talks, hears) = (Traffic { tls: tls.clone(), ..to(&cloud) }, Traffic { tls, ..traffic.clone() });
+                run(&talks, &hears, &Between::default())
+            }
             // DDS finds its peers by multicast, which routers do not forward. So each side gets the
             // address of the other.
-            BenchRoute::Ip => run(vendor, &to(&cloud), &to(&robot), &Between::default()),
+            BenchRoute::Ip | BenchRoute::FastDds => run(&to(&cloud), &to(&robot), &Between::default()),
+            BenchRoute::FastDdsSecured => {
+                let [of_robot, of_cloud] = dds_security::make(folder)?;
+                let talks = Traffic { security: Some(of_robot), ..to(&cloud) };
+                let hears = Traffic { security: Some(of_cloud), ..to(&robot) };
+                run(&talks, &hears, &Between::default())
+            }
             BenchRoute::Zenoh | BenchRoute::ZenohTls | BenchRoute::ZenohTlsLowLatency => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
                 let security = match route {
@@ -263,9 +330,11 @@ impl Bench {
                 let bridges = Bridges::start(bridge, &chain, security, folder)?;
                 let between = Between { proxies: bridges.processes(), ..Between::default() };
                 let node = |name: &str| Traffic { node: Some(name.into()), ..traffic.clone() };
-                run(vendor, &node("talker"), &node("listener"), &between)
+                run(&node("talker"), &node("listener"), &between)
             }
-            BenchRoute::Gdp | BenchRoute::GdpUdp | BenchRoute::Local => bail!("a path without routers"),
+            BenchRoute::Gdp | BenchRoute::GdpUdp | BenchRoute::GdpNat | BenchRoute::Local | BenchRoute::Cable => {
+                bail!("a path without routers")
+            }
         }
     }
 }
@@ -281,40 +350,58 @@ struct Between<'a> {
 /// Time of warm-up messages after the first one has arrived.
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Runs one conversation.
-fn converse(
-    tools: &Tools,
+/// A conversation before its network is known.
+struct Talk<'a> {
+    tools: &'a Tools,
     vendor: Vendor,
-    [(from, talks), (to, hears)]: [(&Namespace, &Traffic); 2],
-    between: &Between<'_>,
-    folder: &Path,
-) -> Result<Measured> {
-    let talker = Side { at: from, vendor, traffic: talks };
-    let listener = Side { at: to, vendor, traffic: hears };
-    let mut both = match Conversation::start(tools, talker, listener, folder) {
-        Ok(both) => both,
-        // A failure is also a row, so that a load that is too high for one path does not end the
-        // benchmark.
-        Err(error) => {
-            wait::check_interrupt()?;
-            eprintln!("nothing arrives: {error:#}");
-            return Ok(Measured::default());
-        }
-    };
-    // What has waited for the listener arrives first, in portions.
-    std::thread::sleep(SETTLE);
-    let system_calls = SystemCalls::of(&between.proxies)?;
-    let (before, woken, machine) = (between.cpu()?, between.wakeups()?, MachineTime::now()?);
-    both.open()?;
-    let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
-    let received = both.finish(sending, Duration::from_secs(10))?;
-    let machine = machine.taken()?;
-    let (taken, woken) = (between.cpu()?.saturating_sub(before), between.wakeups()?.saturating_sub(woken));
-    let system_calls = system_calls.map(|calls| calls.read()).transpose()?;
-    if between.proxies.is_empty() {
-        return Ok(Measured { received, machine, ..Measured::default() });
+    traffic: &'a Traffic,
+    folder: &'a Path,
+}
+
+impl Talk<'_> {
+    /// Runs the conversation with the same traffic at both ends.
+    fn between(&self, [from, to]: [&Namespace; 2], between: &Between<'_>) -> Result<Measured> {
+        self.converse([(from, self.traffic), (to, self.traffic)], between)
     }
-    Ok(Measured { received, cpu: Some(taken), machine, wakeups: Some(woken), system_calls, repeated: None })
+
+    fn converse(
+        &self,
+        [(from, talks), (to, hears)]: [(&Namespace, &Traffic); 2],
+        between: &Between<'_>,
+    ) -> Result<Measured> {
+        let Self { tools, vendor, folder, .. } = *self;
+        let talker = Side { at: from, vendor, traffic: talks };
+        let listener = Side { at: to, vendor, traffic: hears };
+        let mut both = match Conversation::start(tools, talker, listener, folder) {
+            Ok(both) => both,
+            Err(error) => return nothing_arrives(&error),
+        };
+        // What has waited for the listener arrives first, in portions.
+        std::thread::sleep(SETTLE);
+        let system_calls = SystemCalls::of(&between.proxies)?;
+        let (before, woken, machine) = (between.cpu()?, between.wakeups()?, MachineTime::now()?);
+        both.open()?;
+        let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
+        let received = match both.finish(sending, Duration::from_secs(10)) {
+            Ok(received) => received,
+            Err(error) => return nothing_arrives(&error),
+        };
+        let machine = machine.taken()?;
+        let (taken, woken) = (between.cpu()?.saturating_sub(before), between.wakeups()?.saturating_sub(woken));
+        let system_calls = system_calls.map(|calls| calls.read()).transpose()?;
+        if between.proxies.is_empty() {
+            return Ok(Measured { received, machine, ..Measured::default() });
+        }
+        Ok(Measured { received, cpu: Some(taken), machine, wakeups: Some(woken), system_calls, repeated: None })
+    }
+}
+
+/// Reports a failure. It is also a row, so that a load that is too high for one path does not end
+/// the benchmark.
+fn nothing_arrives(error: &anyhow::Error) -> Result<Measured> {
+    wait::check_interrupt()?;
+    eprintln!("nothing arrives: {error:#}");
+    Ok(Measured::default())
 }
 
 impl Between<'_> {

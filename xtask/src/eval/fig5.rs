@@ -1,9 +1,12 @@
 //! Figure 5 of the paper: one-way latency over the message size, through three nodes between two
 //! hosts.
 //!
-//! The ends are one ROS 2 publisher and one subscriber (Cyclone DDS, reliable, unmodified). The
-//! setups differ in what is between them: `bench::paths` has them. A round measures all setups, and
-//! every other round does so in reverse order.
+//! The ends are one ROS 2 publisher and one subscriber (Cyclone DDS or Fast DDS, reliable,
+//! unmodified). The setups differ in what is between them: `bench::paths` has them. A round
+//! measures all setups, and every other round does so in reverse order. `links` has the kinds of
+//! links.
+
+mod links;
 
 use std::fs::File;
 use std::io::Write as _;
@@ -14,6 +17,7 @@ use gdp_tests::measure::Wanted;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::report;
 
+use self::links::LinkShape;
 use crate::bench::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, PathRow};
 use crate::workspace::{self, Profile};
 
@@ -21,23 +25,41 @@ use crate::workspace::{self, Profile};
 pub struct Options {
     /// Print one JSON object on stdout instead of tables
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
     /// Draw plots into this folder
     #[arg(long)]
-    plots: Option<PathBuf>,
+    pub(super) plots: Option<PathBuf>,
     /// Number of alternating measurements per setup
     #[arg(long, default_value_t = 3)]
-    rounds: usize,
-    /// Measure two sizes once, without zenoh's bridges, which build for ten minutes
+    pub(super) rounds: usize,
+    /// Kind of links to measure; repeat for several
+    #[arg(long, value_enum, default_values_t = [LinkShape::Plain])]
+    pub(super) links: Vec<LinkShape>,
+    /// Measure two sizes once on plain links, and only setups that start quickly
     #[arg(long)]
-    quick: bool,
+    pub(super) quick: bool,
     /// Measure programs that are built as for the tests: quick to compile, and slower
     #[arg(long)]
-    checked: bool,
+    pub(super) checked: bool,
 }
 
-const SETUPS: [BenchRoute; 5] =
-    [BenchRoute::Local, BenchRoute::Ip, BenchRoute::ZenohTls, BenchRoute::Gdp, BenchRoute::GdpUdp];
+const SETUPS: [BenchRoute; 9] = [
+    BenchRoute::Local,
+    BenchRoute::Cable,
+    BenchRoute::Ip,
+    BenchRoute::FastDds,
+    BenchRoute::FastDdsSecured,
+    BenchRoute::ZenohTls,
+    BenchRoute::Gdp,
+    BenchRoute::GdpUdp,
+    BenchRoute::GdpNat,
+];
+/// Zenoh's bridges build for ten minutes.
+const QUICK_SETUPS: [BenchRoute; 5] =
+    [BenchRoute::Cable, BenchRoute::Ip, BenchRoute::Gdp, BenchRoute::GdpUdp, BenchRoute::GdpNat];
+
+/// This system's setups that have bars: through three nodes, as the others.
+const OURS: [BenchRoute; 2] = [BenchRoute::Gdp, BenchRoute::GdpUdp];
 
 const SIZES: [usize; 8] = [64, 1_000, 8_000, 64_000, 256_000, 1_000_000, 4_000_000, 8_000_000];
 const QUICK_SIZES: [usize; 2] = [64, 1_000_000];
@@ -46,7 +68,7 @@ const QUICK_SIZES: [usize; 2] = [64, 1_000_000];
 const COUNT: u64 = 30;
 
 /// Rate of small messages, in messages per second. Large ones come at `MOST_BYTES` per second.
-const RATE: f64 = 10.0;
+const RATE: f64 = 20.0;
 const MOST_BYTES: f64 = 24e6;
 
 /// What the paper's system adds to ROS 2 through three nodes, in milliseconds, on average.
@@ -59,10 +81,14 @@ const MAY_ADD: f64 = PAPER_ADDS / 10.0;
 fn series(route: BenchRoute) -> &'static str {
     match route {
         BenchRoute::Local => "ROS 2, one host",
+        BenchRoute::Cable => "ROS 2, one network",
         BenchRoute::Ip => "ROS 2, 3 routers",
+        BenchRoute::FastDds => "Fast DDS, 3 routers",
+        BenchRoute::FastDdsSecured => "Fast DDS Security",
         BenchRoute::ZenohTls => "zenoh bridges, TLS",
         BenchRoute::Gdp => "GDP, Ethernet",
         BenchRoute::GdpUdp => "GDP, UDP",
+        BenchRoute::GdpNat => "GDP, two NATs and domains",
         other => other.describe(),
     }
 }
@@ -76,71 +102,115 @@ fn case(bytes: usize) -> String {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let quick = options.quick;
-    let setups: Vec<BenchRoute> = SETUPS.into_iter().filter(|route| !quick || *route != BenchRoute::ZenohTls).collect();
-    let (sizes, rounds) = if quick { (&QUICK_SIZES[..], 1) } else { (&SIZES[..], options.rounds.max(1)) };
+    let (setups, sizes, rounds, links) = match options.quick {
+        true => (&QUICK_SETUPS[..], &QUICK_SIZES[..], 1, &[LinkShape::Plain][..]),
+        false => (&SETUPS[..], &SIZES[..], options.rounds.max(1), &options.links[..]),
+    };
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
-    let bench = Bench::prepare(&setups, profile)?;
+    let bench = Bench::prepare(setups, profile)?;
     let mut raw = Raw::create()?;
-    let mut latency = Vec::new();
-    for bytes in sizes {
-        latency.extend(measure(&bench, &setups, *bytes, rounds, &mut raw)?);
+    let mut figures = Vec::new();
+    for shape in links {
+        let on_links = OnLinks::of(*shape, setups);
+        let mut latency = Vec::new();
+        for bytes in sizes {
+            latency.extend(on_links.measure(&bench, *bytes, rounds, &mut raw)?);
+        }
+        figures.push(on_links.figure(latency, sizes));
     }
     eprintln!("all rows: {}", raw.path.display());
     let wanted = Wanted { only: &[], json: options.json, plots: options.plots.as_deref() };
-    report(vec![figure(latency, sizes)], &wanted)
+    report(figures, &wanted)
 }
 
-/// Measures all setups with messages of one size: their medians, and those of the paper's system.
-fn measure(bench: &Bench, setups: &[BenchRoute], bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
-    let load = Load { bytes, rate: (MOST_BYTES / bytes as f64).min(RATE), ..LOAD };
-    let cell = Cell { name: "plain".to_owned(), cables: Cables::default(), hogs: 0, load };
-    let mut medians: Vec<Vec<f64>> = setups.iter().map(|_| Vec::new()).collect();
-    let mut lost = vec![0; setups.len()];
-    for round in 0..rounds {
-        let mut order: Vec<usize> = (0..setups.len()).collect();
-        if round % 2 == 1 {
-            order.reverse();
-        }
-        for at in order {
-            eprintln!("round {round}: {} of {}", series(setups[at]), case(bytes));
-            let measured = bench.measure(setups[at], &cell.cables, &cell.load, COUNT)?;
-            let row = PathRow::of(setups[at], &cell, COUNT, &[measured]);
-            raw.write(&row)?;
-            ensure!(row.received > 0, "nothing arrived: {}, {}", series(setups[at]), case(bytes));
-            medians[at].push(row.latency_us.p50 / 1000.0);
-            lost[at] += row.sent - row.received.min(row.sent);
-        }
+/// The setups on one kind of links.
+struct OnLinks {
+    shape: LinkShape,
+    cables: Cables,
+    setups: Vec<BenchRoute>,
+    /// Setups without a cable that could be shaped.
+    left_out: Vec<&'static str>,
+}
+
+impl OnLinks {
+    fn of(shape: LinkShape, setups: &[BenchRoute]) -> Self {
+        let is_possible = |route: &&BenchRoute| shape == LinkShape::Plain || route.has_cables();
+        let (setups, left_out): (Vec<_>, Vec<_>) = setups.iter().partition(is_possible);
+        let left_out = left_out.into_iter().map(series).collect();
+        Self { shape, cables: shape.cables(), setups, left_out }
     }
-    let routers =
-        setups.iter().position(|route| *route == BenchRoute::Ip).map(|at| medians[at].clone()).unwrap_or_default();
-    let sent = (COUNT * rounds as u64) as f64;
-    let measures = setups.iter().zip(medians).zip(lost).map(|((route, medians), lost)| Measure {
-        lost_percent: Some(100.0 * lost as f64 / sent),
-        ..Measure::new(series(*route), case(bytes), medians)
-    });
-    let paper = Measure::new(PAPER, case(bytes), routers.iter().map(|median| median + PAPER_ADDS).collect());
-    Ok(measures.chain([paper]).collect())
-}
 
-/// Returns the figure, with the bars: a tenth of what the paper's system adds, and not slower than
-/// zenoh.
-fn figure(latency: Vec<Measure>, sizes: &[usize]) -> Figure {
-    let title = "Figure 5: one-way latency through three nodes, median";
-    let mut figure = Figure::new("eval-fig5", title, Unit::Milliseconds, latency);
-    for ours in [BenchRoute::Gdp, BenchRoute::GdpUdp].map(series) {
-        for case in sizes.iter().map(|bytes| case(*bytes)) {
-            let routers = figure.measure(series(BenchRoute::Ip), &case).map(|measure| measure.spread.median);
-            let is_complete = figure.measure(ours, &case).is_some_and(|measure| measure.lost_percent == Some(0.0));
-            if let Some(routers) = routers {
-                // What loses messages has no latency that counts.
-                let most = if is_complete { routers + MAY_ADD } else { 0.0 };
-                figure = figure.aim(ours, &case, Aim::AtMost(most));
+    /// Measures all setups with messages of one size: their medians, and on plain links those of
+    /// the paper's system.
+    fn measure(&self, bench: &Bench, bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
+        let load = Load { bytes, rate: (MOST_BYTES / bytes as f64).min(RATE), ..LOAD };
+        let (name, cables) = (self.shape.name().to_owned(), self.cables.clone());
+        let cell = Cell { name, cables, hogs: 0, load };
+        let mut medians: Vec<Vec<f64>> = self.setups.iter().map(|_| Vec::new()).collect();
+        let mut lost = vec![0; self.setups.len()];
+        for round in 0..rounds {
+            let mut order: Vec<usize> = (0..self.setups.len()).collect();
+            if round % 2 == 1 {
+                order.reverse();
+            }
+            for at in order {
+                let route = self.setups[at];
+                let what = format!("{} of {} on {} links", series(route), case(bytes), cell.name);
+                eprintln!("round {round}: {what}");
+                let measured = bench.measure(route, &cell.cables, &cell.load, COUNT)?;
+                let row = PathRow::of(route, &cell, COUNT, &[measured]);
+                raw.write(&row)?;
+                lost[at] += row.sent - row.received.min(row.sent);
+                if row.received > 0 {
+                    medians[at].push(row.latency_us.p50 / 1000.0);
+                } else {
+                    // The bars would not notice a setup that is missing.
+                    ensure!(!OURS.contains(&route), "nothing arrived: {what}");
+                    eprintln!("left out, because nothing arrived: {what}");
+                }
             }
         }
-        figure = figure.compare(ours, series(BenchRoute::ZenohTls), |_| Some(Aim::AtMost(1.0)));
+        let sent = (COUNT * rounds as u64) as f64;
+        let setups = self.setups.iter().zip(medians).zip(lost);
+        let mut measures: Vec<Measure> = setups
+            .filter(|((_, medians), _)| !medians.is_empty())
+            .map(|((route, medians), lost)| Measure {
+                lost_percent: Some(100.0 * lost as f64 / sent),
+                ..Measure::new(series(*route), case(bytes), medians)
+            })
+            .collect();
+        if self.shape == LinkShape::Plain
+            && let Some(routers) = measures.iter().find(|measure| measure.series == series(BenchRoute::Ip))
+        {
+            let with = routers.rounds.iter().map(|median| median + PAPER_ADDS).collect();
+            measures.push(Measure::new(PAPER, case(bytes), with));
+        }
+        Ok(measures)
     }
-    figure
+
+    /// Returns the figure. On plain links it has the bars: a tenth of what the paper's system adds,
+    /// and not slower than zenoh.
+    fn figure(&self, latency: Vec<Measure>, sizes: &[usize]) -> Figure {
+        let mut title = "Figure 5: one-way latency through three nodes, median".to_owned();
+        if self.shape != LinkShape::Plain {
+            title += &format!("; {} before the cloud; not measured: {}", self.shape.name(), self.left_out.join("; "));
+        }
+        let mut figure = Figure::new(self.shape.figure(), title, Unit::Milliseconds, latency);
+        for ours in OURS.map(series) {
+            let is_plain = self.shape == LinkShape::Plain;
+            for case in sizes.iter().map(|bytes| case(*bytes)).filter(|_| is_plain) {
+                let routers = figure.measure(series(BenchRoute::Ip), &case).map(|measure| measure.spread.median);
+                let is_complete = figure.measure(ours, &case).is_some_and(|measure| measure.lost_percent == Some(0.0));
+                if let Some(routers) = routers {
+                    // What loses messages has no latency that counts.
+                    let most = if is_complete { routers + MAY_ADD } else { 0.0 };
+                    figure = figure.aim(ours, &case, Aim::AtMost(most));
+                }
+            }
+            figure = figure.compare(ours, series(BenchRoute::ZenohTls), |_| is_plain.then_some(Aim::AtMost(1.0)));
+        }
+        figure
+    }
 }
 
 /// The measured rows as JSON lines, in `target/eval`.

@@ -66,7 +66,7 @@ impl PathRow {
         let system_calls = each(total(|measured| measured.system_calls));
         let damaged = messages().filter(|message| !message.intact).count() as u64;
         let Load { bytes, rate, topics, vendor, .. } = cell.load;
-        let vendor = if route.has_dds() { vendor_name(vendor) } else { "none" };
+        let vendor = vendor_name(route.ends(vendor));
         Self {
             route,
             cables: cell.name.clone(),
