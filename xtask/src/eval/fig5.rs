@@ -6,20 +6,17 @@
 //! measures all setups, and every other round does so in reverse order. `links` has the kinds of
 //! links.
 
-mod links;
-
-use std::fs::File;
-use std::io::Write as _;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use gdp_tests::measure::Wanted;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::report;
 
-use self::links::LinkShape;
+use super::links::LinkKind;
+use super::raw::RawRows;
 use crate::bench::paths::{Bench, BenchRoute, Cables, Cell, LOAD, Load, PathRow};
-use crate::workspace::{self, Profile};
+use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -33,8 +30,8 @@ pub struct Options {
     #[arg(long, default_value_t = 3)]
     pub(super) rounds: usize,
     /// Kind of links to measure; repeat for several
-    #[arg(long, value_enum, default_values_t = [LinkShape::Plain])]
-    pub(super) links: Vec<LinkShape>,
+    #[arg(long, value_enum, default_values_t = [LinkKind::Plain])]
+    pub(super) links: Vec<LinkKind>,
     /// Measure two sizes once on plain links, and only setups that start quickly
     #[arg(long)]
     pub(super) quick: bool,
@@ -93,6 +90,14 @@ fn series(route: BenchRoute) -> &'static str {
     }
 }
 
+fn figure_name(links: LinkKind) -> &'static str {
+    match links {
+        LinkKind::Plain => "eval-fig5",
+        LinkKind::Gigabit => "eval-fig5-gigabit",
+        LinkKind::Wifi => "eval-fig5-wifi",
+    }
+}
+
 fn case(bytes: usize) -> String {
     match bytes {
         1_000_000.. => format!("{} MB", bytes / 1_000_000),
@@ -103,48 +108,50 @@ fn case(bytes: usize) -> String {
 
 pub fn run(options: Options) -> Result<()> {
     let (setups, sizes, rounds, links) = match options.quick {
-        true => (&QUICK_SETUPS[..], &QUICK_SIZES[..], 1, &[LinkShape::Plain][..]),
+        true => (&QUICK_SETUPS[..], &QUICK_SIZES[..], 1, &[LinkKind::Plain][..]),
         false => (&SETUPS[..], &SIZES[..], options.rounds.max(1), &options.links[..]),
     };
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
     let bench = Bench::prepare(setups, profile)?;
-    let mut raw = Raw::create()?;
-    let mut figures = Vec::new();
-    for shape in links {
-        let on_links = OnLinks::of(*shape, setups);
+    let mut raw = RawRows::create("fig5")?;
+    let (mut figures, mut absent) = (Vec::new(), Vec::new());
+    for kind in links {
+        let on_links = OnLinks::of(*kind, setups);
         let mut latency = Vec::new();
         for bytes in sizes {
             latency.extend(on_links.measure(&bench, *bytes, rounds, &mut raw)?);
         }
-        figures.push(on_links.figure(latency, sizes));
+        let figure = on_links.figure(latency, sizes);
+        absent.extend(on_links.absent(&figure, sizes));
+        figures.push(figure);
     }
-    eprintln!("all rows: {}", raw.path.display());
+    raw.finish();
+    absent.iter().for_each(|line| eprintln!("{line}"));
     let wanted = Wanted { only: &[], json: options.json, plots: options.plots.as_deref() };
     report(figures, &wanted)
 }
 
 /// The setups on one kind of links.
 struct OnLinks {
-    shape: LinkShape,
+    kind: LinkKind,
     cables: Cables,
     setups: Vec<BenchRoute>,
-    /// Setups without a cable that could be shaped.
-    left_out: Vec<&'static str>,
+    /// Setups without a cable that could be of this kind.
+    without: Vec<BenchRoute>,
 }
 
 impl OnLinks {
-    fn of(shape: LinkShape, setups: &[BenchRoute]) -> Self {
-        let is_possible = |route: &&BenchRoute| shape == LinkShape::Plain || route.has_cables();
-        let (setups, left_out): (Vec<_>, Vec<_>) = setups.iter().partition(is_possible);
-        let left_out = left_out.into_iter().map(series).collect();
-        Self { shape, cables: shape.cables(), setups, left_out }
+    fn of(kind: LinkKind, setups: &[BenchRoute]) -> Self {
+        let is_possible = |route: &&BenchRoute| kind == LinkKind::Plain || route.has_cables();
+        let (setups, without) = setups.iter().partition(is_possible);
+        Self { kind, cables: kind.cables(), setups, without }
     }
 
     /// Measures all setups with messages of one size: their medians, and on plain links those of
     /// the paper's system.
-    fn measure(&self, bench: &Bench, bytes: usize, rounds: usize, raw: &mut Raw) -> Result<Vec<Measure>> {
+    fn measure(&self, bench: &Bench, bytes: usize, rounds: usize, raw: &mut RawRows) -> Result<Vec<Measure>> {
         let load = Load { bytes, rate: (MOST_BYTES / bytes as f64).min(RATE), ..LOAD };
-        let (name, cables) = (self.shape.name().to_owned(), self.cables.clone());
+        let (name, cables) = (self.kind.name().to_owned(), self.cables.clone());
         let cell = Cell { name, cables, hogs: 0, load };
         let mut medians: Vec<Vec<f64>> = self.setups.iter().map(|_| Vec::new()).collect();
         let mut lost = vec![0; self.setups.len()];
@@ -163,23 +170,21 @@ impl OnLinks {
                 lost[at] += row.sent - row.received.min(row.sent);
                 if row.received > 0 {
                     medians[at].push(row.latency_us.p50 / 1000.0);
-                } else {
-                    // The bars would not notice a setup that is missing.
-                    ensure!(!OURS.contains(&route), "nothing arrived: {what}");
-                    eprintln!("left out, because nothing arrived: {what}");
                 }
+                // The bars would not notice a setup that is missing.
+                ensure!(row.received > 0 || !OURS.contains(&route), "nothing arrived: {what}");
             }
         }
         let sent = (COUNT * rounds as u64) as f64;
         let setups = self.setups.iter().zip(medians).zip(lost);
         let mut measures: Vec<Measure> = setups
-            .filter(|((_, medians), _)| !medians.is_empty())
+            .filter(|((_, medians), _)| medians.len() == rounds)
             .map(|((route, medians), lost)| Measure {
                 lost_percent: Some(100.0 * lost as f64 / sent),
                 ..Measure::new(series(*route), case(bytes), medians)
             })
             .collect();
-        if self.shape == LinkShape::Plain
+        if self.kind == LinkKind::Plain
             && let Some(routers) = measures.iter().find(|measure| measure.series == series(BenchRoute::Ip))
         {
             let with = routers.rounds.iter().map(|median| median + PAPER_ADDS).collect();
@@ -192,12 +197,12 @@ impl OnLinks {
     /// and not slower than zenoh.
     fn figure(&self, latency: Vec<Measure>, sizes: &[usize]) -> Figure {
         let mut title = "Figure 5: one-way latency through three nodes, median".to_owned();
-        if self.shape != LinkShape::Plain {
-            title += &format!("; {} before the cloud; not measured: {}", self.shape.name(), self.left_out.join("; "));
+        if self.kind != LinkKind::Plain {
+            title += &format!("; {} before the cloud", self.kind.name());
         }
-        let mut figure = Figure::new(self.shape.figure(), title, Unit::Milliseconds, latency);
+        let mut figure = Figure::new(figure_name(self.kind), title, Unit::Milliseconds, latency);
         for ours in OURS.map(series) {
-            let is_plain = self.shape == LinkShape::Plain;
+            let is_plain = self.kind == LinkKind::Plain;
             for case in sizes.iter().map(|bytes| case(*bytes)).filter(|_| is_plain) {
                 let routers = figure.measure(series(BenchRoute::Ip), &case).map(|measure| measure.spread.median);
                 let is_complete = figure.measure(ours, &case).is_some_and(|measure| measure.lost_percent == Some(0.0));
@@ -211,25 +216,14 @@ impl OnLinks {
         }
         figure
     }
-}
 
-/// The measured rows as JSON lines, in `target/eval`.
-struct Raw {
-    path: PathBuf,
-    file: File,
-}
-
-impl Raw {
-    fn create() -> Result<Self> {
-        let folder = workspace::target().join("eval");
-        std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
-        let path = folder.join("fig5.jsonl");
-        let file = File::create(&path).with_context(|| format!("cannot create {}", path.display()))?;
-        Ok(Self { path, file })
-    }
-
-    fn write(&mut self, row: &PathRow) -> Result<()> {
-        let line = serde_json::to_string(row)?;
-        writeln!(self.file, "{line}").with_context(|| format!("cannot write {}", self.path.display()))
+    /// Says what the figure does not have: setups without such a cable, and those of which a round
+    /// had no message that arrived.
+    fn absent(&self, figure: &Figure, sizes: &[usize]) -> Vec<String> {
+        let kind = self.kind.name();
+        let without = self.without.iter().map(|route| format!("{}: not measured on {kind} links", series(*route)));
+        let all = sizes.iter().flat_map(|bytes| self.setups.iter().map(|route| (series(*route), case(*bytes))));
+        let missing = all.filter(|(series, case)| figure.measure(series, case).is_none());
+        without.chain(missing.map(|(series, case)| format!("{series}: no {case} arrived on {kind} links"))).collect()
     }
 }
