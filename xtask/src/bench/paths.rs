@@ -227,7 +227,11 @@ impl Bench {
         if !workspace::is_root() {
             bail!("network namespaces need root");
         }
-        setup::ensure(Purpose::Bench)?;
+        // Bridges need a C++ toolchain, and certificates need openssl.
+        let is_simple = |route: &BenchRoute| {
+            route.is_gdp() || matches!(route, BenchRoute::Ip | BenchRoute::Cable | BenchRoute::Local)
+        };
+        setup::ensure(if routes.iter().all(is_simple) { Purpose::Demo } else { Purpose::Bench })?;
         if routes.iter().any(|route| route.is_gdp()) {
             build::executables(Executables::All, profile, Features::default())?;
         }

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use anyhow::{Context as _, Result, ensure};
+
 use super::links::LinkKind;
 use super::site::Setup;
 use super::table1::TableRow;
@@ -58,6 +60,20 @@ pub fn of_table(rows: &[TableRow]) -> Vec<Bar> {
         }
     }
     bars
+}
+
+/// Fails if a request was lost or changed on its way through GDP, or if its answer differs from that
+/// over routers.
+pub fn check(rows: &[TableRow]) -> Result<()> {
+    for row in rows.iter().filter(|row| matches!(row.setup, Setup::Gdp | Setup::Domains)) {
+        let name = || format!("{}, {}", row.of.describe(), row.setup.describe());
+        row.trial.check_complete().with_context(name)?;
+        let plain = rows.iter().find(|other| (other.setup, other.of) == (Setup::Routers, row.of));
+        if let (Some(reply), Some(plain)) = (digest(row), plain) {
+            ensure!(Some(reply) == digest(plain), "{}: the results differ from those over routers", name());
+        }
+    }
+    Ok(())
 }
 
 /// Returns the medians of both directions, ours and theirs.

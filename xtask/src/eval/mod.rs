@@ -15,7 +15,13 @@ mod tools;
 mod trial;
 mod workload;
 
+use std::path::PathBuf;
+use std::time::Instant;
+
 use anyhow::Result;
+use clap::ValueEnum as _;
+
+use self::links::LinkKind;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -33,6 +39,24 @@ enum Evaluation {
     Ring(ring::Options),
     /// Run vSLAM on a robot that moves from one network to another, steered from ROS 1
     Roam(roam::Options),
+    /// Run all of these, on all kinds of links
+    All(AllOptions),
+}
+
+#[derive(clap::Args)]
+struct AllOptions {
+    /// Print JSON on stdout instead of tables
+    #[arg(long)]
+    json: bool,
+    /// Draw plots into this folder
+    #[arg(long)]
+    plots: Option<PathBuf>,
+    /// Measure little, and without zenoh's bridges, which build for ten minutes
+    #[arg(long)]
+    quick: bool,
+    /// Measure programs that are built as for the tests: quick to compile, and slower
+    #[arg(long)]
+    checked: bool,
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -41,5 +65,18 @@ pub fn run(options: Options) -> Result<()> {
         Evaluation::Table1(options) => table1::run(&options),
         Evaluation::Ring(options) => ring::run(&options),
         Evaluation::Roam(options) => roam::run(&options),
+        Evaluation::All(options) => all(options),
     }
+}
+
+fn all(options: AllOptions) -> Result<()> {
+    let AllOptions { json, plots, quick, checked } = options;
+    let begun = Instant::now();
+    let links = LinkKind::value_variants().to_vec();
+    fig5::run(fig5::Options { json, plots: plots.clone(), rounds: 1, links, quick, checked })?;
+    table1::run(&table1::Options { json, plots, rounds: 1, quick, checked, links: Vec::new(), workloads: Vec::new() })?;
+    ring::run(&ring::Options { json, seed: ring::SEED, quick, checked })?;
+    roam::run(&roam::Options { json, quick, checked })?;
+    eprintln!("all of it took {:.1} minutes", begun.elapsed().as_secs_f64() / 60.0);
+    Ok(())
 }

@@ -23,7 +23,7 @@ pub struct Options {
     #[arg(long)]
     pub json: bool,
     /// Choose the faults by this number
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = SEED)]
     pub seed: u64,
     /// Cause two faults instead of six
     #[arg(long)]
@@ -33,12 +33,11 @@ pub struct Options {
     pub checked: bool,
 }
 
+pub const SEED: u64 = 1;
+
 /// How long a fault lasts, and how long the ring is whole after it.
 const FAULT: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_secs(3);
-
-/// Images per second.
-const RATE: f64 = 10.0;
 
 /// Something that happens to the ring. Switches count from 0 here, and from 1 in what is printed.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -110,7 +109,7 @@ pub fn run(options: &Options) -> Result<()> {
     let folder = tempfile::Builder::new().prefix("gdp-eval-").tempdir().context("cannot create a folder")?;
     let mut site = Site::ring(&tools, Workload::Slam.topics())?;
     let seconds = (FAULT + PAUSE).as_secs_f64() * (faults.len() as f64) + 3.0;
-    let requests = Requests { count: (seconds * RATE) as u32, rate: RATE };
+    let requests = Requests::for_seconds(seconds, options.quick);
     let running = Running::start(&tools, &site, Workload::Slam, requests, folder.path())?;
     wait::sleep(PAUSE)?;
     let mut rows = Vec::new();
@@ -138,7 +137,7 @@ pub fn run(options: &Options) -> Result<()> {
             Workload::Slam.result(&trial.result)
         );
     }
-    Ok(())
+    trial.check_complete()
 }
 
 /// Lets a fault happen and pass.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use gdp_tests::federation::{Federation, Site as Place};
 use gdp_tests::peers::{ON_LOOPBACK, Received, received};
 use gdp_tests::process::Process;
@@ -20,7 +20,7 @@ use super::links::LinkKind;
 use super::raw::RawRows;
 use super::site::{Network, Setup, Site};
 use super::tools::EvalTools;
-use super::trial::{Requests, Running, monotonic, slowest_since};
+use super::trial::{Requests, Running, Trial, monotonic, slowest_since};
 use super::workload::Workload;
 use crate::workspace::Profile;
 
@@ -37,8 +37,7 @@ pub struct Options {
     pub checked: bool,
 }
 
-/// Images and commands per second.
-const IMAGE_RATE: f64 = 10.0;
+/// Commands per second.
 const COMMAND_RATE: f64 = 50.0;
 
 /// Time in each network.
@@ -66,7 +65,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut site = Site::start(&tools, Setup::Domains, &LinkKind::Plain.cables(), &topics, folder)?;
     let moves = if options.quick { 1 } else { 4 };
     let seconds = STAY.as_secs_f64() * f64::from(moves + 1) + 2.0;
-    let requests = Requests { count: (seconds * IMAGE_RATE) as u32, rate: IMAGE_RATE };
+    let requests = Requests::for_seconds(seconds, options.quick);
     let mut pilot = Pilot::start(&tools, federation(&mut site)?, folder)?;
     let running = Running::start(&tools, &site, Workload::Slam, requests, folder)?;
     pilot.steer(folder)?;
@@ -97,21 +96,25 @@ pub fn run(options: &Options) -> Result<()> {
     if options.json {
         rows.iter().try_for_each(|row| serde_json::to_string(row).map(|line| println!("{line}")))?;
         println!("{summary}");
-        return Ok(());
+    } else {
+        print(&rows, &trial, commands.len(), lost);
     }
+    ensure!(lost == 0, "{lost} commands were lost");
+    trial.check_complete()
+}
+
+fn print(rows: &[MoveRow], trial: &Trial, commands: usize, lost: usize) {
     println!("| the robot moves to | slowest image | slowest command |\n|{}", " --- |".repeat(3));
-    for MoveRow { to, slowest_image_ms, slowest_command_ms } in &rows {
+    for MoveRow { to, slowest_image_ms, slowest_command_ms } in rows {
         println!("| {to} network | {slowest_image_ms:.0} ms | {slowest_command_ms:.0} ms |");
     }
     println!(
-        "{} of {} images answered, {} damaged; {} commands, {lost} lost; {}",
+        "{} of {} images answered, {} damaged; {commands} commands, {lost} lost; {}",
         trial.requests - trial.lost,
         trial.requests,
         trial.damaged,
-        commands.len(),
         Workload::Slam.result(&trial.result)
     );
-    Ok(())
 }
 
 fn federation(site: &mut Site) -> Result<&mut Federation> {

@@ -89,24 +89,27 @@ pub fn run(options: &Options) -> Result<()> {
         print_table(&rows);
         bars::of_table(&rows).iter().for_each(|bar| println!("{bar}"));
     }
-    options.plots.as_deref().map_or(Ok(()), |folder| plots::draw(&rows, folder))
+    if let Some(folder) = &options.plots {
+        plots::draw(&rows, folder)?;
+    }
+    bars::check(&rows)
 }
 
 /// Returns the setups whose network can have these links.
 fn setups(links: LinkKind, quick: bool) -> Vec<Setup> {
-    let all = Setup::ALL.into_iter().filter(|setup| !quick || *setup != Setup::Zenoh);
+    let is_quick = |setup: &Setup| matches!(setup, Setup::RobotOnly | Setup::Routers | Setup::Gdp | Setup::Domains);
+    let all = Setup::ALL.into_iter().filter(|setup| !quick || is_quick(setup));
     all.filter(|setup| links == LinkKind::Plain || setup.has_wire()).collect()
 }
 
 fn requests(workload: Workload, quick: bool) -> Requests {
-    const SLAM_RATE: f64 = 10.0;
-    let count = match (workload, quick) {
-        (Workload::Slam, false) => 200,
-        (Workload::Slam, true) => 50,
-        (_, false) => 20,
-        (_, true) => 4,
-    };
-    Requests { count, rate: SLAM_RATE }
+    const SECONDS: f64 = 20.0;
+    match (workload, quick) {
+        (Workload::Slam, false) => Requests::for_seconds(SECONDS, false),
+        (Workload::Slam, true) => Requests::for_seconds(SECONDS / 3.0, true),
+        (_, false) => Requests { count: 20, ..Requests::for_seconds(0.0, false) },
+        (_, true) => Requests { count: 4, ..Requests::for_seconds(0.0, true) },
+    }
 }
 
 fn measure(tools: &EvalTools, setup: Setup, links: LinkKind, workload: Workload, requests: Requests) -> Result<Trial> {

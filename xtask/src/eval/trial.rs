@@ -32,6 +32,15 @@ pub struct Requests {
     pub rate: f64,
 }
 
+impl Requests {
+    /// Returns images for this many seconds.
+    pub fn for_seconds(seconds: f64, is_quick: bool) -> Self {
+        // A quick run is on programs that are slower, and maybe on a busy machine.
+        let rate = if is_quick { 5.0 } else { 10.0 };
+        Self { count: (seconds * rate) as u32, rate }
+    }
+}
+
 /// A running workload.
 pub struct Running {
     robot: Process,
@@ -167,6 +176,15 @@ impl Running {
             uplink_bytes: each((after.uplink - self.before.uplink) as f64),
             result,
         })
+    }
+}
+
+impl Trial {
+    /// Fails if a request was lost or changed.
+    pub fn check_complete(&self) -> Result<()> {
+        ensure!(self.lost == 0, "{} of {} requests were lost", self.lost, self.requests);
+        ensure!(self.damaged == 0, "{} of {} requests arrived changed", self.damaged, self.requests);
+        Ok(())
     }
 }
 
