@@ -10,6 +10,7 @@ mod raw;
 mod ring;
 mod roam;
 mod site;
+mod stages;
 mod table1;
 mod tools;
 mod trial;

@@ -8,7 +8,7 @@ use gdp_faults::Random;
 use gdp_tests::ring::Ring;
 use gdp_tests::wait;
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::raw::RawRows;
 use super::site::{Network, Site};
@@ -118,7 +118,7 @@ pub fn run(options: &Options) -> Result<()> {
         rows.push(endure(fault, &mut site, &running)?);
     }
     let trial = running.finish(&site)?;
-    let repeated = frames_sent_again(ring(&mut site)?);
+    let repeated = frames_sent_again(&site);
     let mut raw = RawRows::create("ring")?;
     rows.iter().try_for_each(|row| raw.write(row))?;
     let summary = json!({"seed": options.seed, "frames_sent_again": repeated, "trial": trial});
@@ -155,10 +155,9 @@ fn endure(fault: RingFault, site: &mut Site, running: &Running) -> Result<FaultR
 }
 
 /// Returns the frames that the robot's proxy sent again, by its latest statistics.
-fn frames_sent_again(ring: &Ring) -> u64 {
-    let text = std::fs::read_to_string(ring.folder_of("robot").join("stats.json")).unwrap_or_default();
-    let stats: Value = serde_json::from_str(&text).unwrap_or_default();
-    let topics = stats["topics"].as_array().into_iter().flatten();
+fn frames_sent_again(site: &Site) -> u64 {
+    let Some([robot, _]) = site.proxy_stats() else { return 0 };
+    let topics = robot["topics"].as_array().into_iter().flatten();
     topics.filter_map(|topic| topic["fabric"]["repeated"].as_u64()).sum()
 }
 

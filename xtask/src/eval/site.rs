@@ -3,7 +3,7 @@
 //! The robot's programs stay on one processor, and those of the edge on another. Switches and
 //! routers run wherever the kernel puts them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result};
@@ -18,6 +18,7 @@ use gdp_tests::ring::Ring;
 use gdp_tests::topics::FabricTopic;
 use gdp_tests::wire::Wire;
 use serde::Serialize;
+use serde_json::Value;
 
 use super::quota::Quota;
 use super::tools::EvalTools;
@@ -222,6 +223,22 @@ impl Site {
     /// Returns the robot's proxy or bridge.
     pub fn robot_proxy(&self) -> Option<&Process> {
         self.between()[0]
+    }
+
+    /// Returns the latest statistics of the robot's proxy and of the edge's, if there are proxies.
+    pub fn proxy_stats(&self) -> Option<[Value; 2]> {
+        let folders = ["robot", "cloud"].map(|label| match &self.network {
+            Network::Fabric(fabric) => Some(fabric.folder_of(label)),
+            Network::Federation(federation) => Some(federation.folder_of(label)),
+            Network::Ring(ring) => Some(ring.folder_of(label)),
+            Network::Host(_) | Network::Chain(_) => None,
+        });
+        let read = |folder: PathBuf| {
+            let text = std::fs::read_to_string(folder.join("stats.json")).unwrap_or_default();
+            serde_json::from_str(&text).unwrap_or_default()
+        };
+        let [robot, edge] = folders;
+        Some([read(robot?), read(edge?)])
     }
 
     /// Says if the cable with faults lost frames that it should have carried.

@@ -13,6 +13,7 @@ use super::links::LinkKind;
 use super::plots;
 use super::raw::RawRows;
 use super::site::{Setup, Site};
+use super::stages::Stages;
 use super::tools::EvalTools;
 use super::trial::{Requests, Running, Times, Trial};
 use super::workload::Workload;
@@ -145,5 +146,18 @@ fn print_table(rows: &[TableRow]) {
             of.result(&trial.result),
         );
     }
-    println!("Times in milliseconds, median and (p99). CPU and uplink per request.");
+    println!("Times in milliseconds, median and (p99). CPU and uplink per request.\n");
+    println!("| workload | setup | topic | robot's DDS | seal, sign, send | proxy to proxy | write into DDS |");
+    println!("|{}", " --- |".repeat(7));
+    for TableRow { of, setup, links, trial, .. } in rows {
+        for Stages { topic, dds_ms, send_ms, fabric_ms, write_ms } in &trial.stages {
+            println!(
+                "| {} | {}, {} links | {topic} | {dds_ms:.1} | {send_ms:.1} | {fabric_ms:.1} | {write_ms:.1} |",
+                of.describe(),
+                setup.describe(),
+                links.name()
+            );
+        }
+    }
+    println!("Medians in milliseconds, by the proxies' statistics. The third contains the second.\n");
 }

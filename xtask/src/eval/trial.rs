@@ -14,6 +14,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::site::Site;
+use super::stages::Stages;
 use super::tools::EvalTools;
 use super::workload::Workload;
 
@@ -45,6 +46,7 @@ impl Requests {
 pub struct Running {
     robot: Process,
     edge: Process,
+    workload: Workload,
     requests: Requests,
     before: Spent,
     since: Instant,
@@ -89,6 +91,7 @@ pub struct Trial {
     pub uplink_bytes: f64,
     /// What the robot says of its results: errors of the trajectory, or a digest of all replies.
     pub result: Value,
+    pub stages: Vec<Stages>,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -120,7 +123,7 @@ impl Running {
         robot.wait_event("matched", START).with_context(|| edge.report())?;
         let before = Spent::of(site, &robot)?;
         std::fs::write(&gate, "").with_context(|| format!("cannot write {}", gate.display()))?;
-        Ok(Self { robot, edge, requests, before, since: Instant::now() })
+        Ok(Self { robot, edge, workload, requests, before, since: Instant::now() })
     }
 
     /// Returns the longest time in which all requests are answered or given up.
@@ -175,6 +178,7 @@ impl Running {
             robot_wakeups: (after.wakeups - self.before.wakeups) as f64 / seconds,
             uplink_bytes: each((after.uplink - self.before.uplink) as f64),
             result,
+            stages: Stages::of(site, self.workload),
         })
     }
 }
