@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, ensure};
 
 use super::links::LinkKind;
 use super::site::Setup;
-use super::table1::TableRow;
+use super::table_row::TableRow;
 use super::trial::{Times, Trial};
 use super::workload::Workload;
 
@@ -48,13 +48,10 @@ pub fn of_table(rows: &[TableRow]) -> Vec<Bar> {
             let most = row.of.paper_adds() / 10.0;
             for (direction, ours, theirs) in directions(&row.trial, &routers.trial) {
                 let added = ours - theirs;
-                bar(
-                    added <= most,
-                    format!("{direction} {added:.2} ms more than DDS over routers, at most {most:.1} ms"),
-                );
+                bar(added <= most, format!("{direction} {added:.2} ms more than over routers, at most {most:.1} ms"));
             }
         }
-        bar(is_close(rows, row), "total within 5 % of plain DDS, or within the spread of its own runs".to_owned());
+        bar(is_close(rows, row), "total within 5 % of plain DDS, or of its slowest run".to_owned());
         if let (Some(reply), Some(local)) = (digest(row), same(Setup::RobotOnly).or_else(|| same(Setup::Routers))) {
             bar(Some(reply) == digest(local), format!("results equal those of {}", local.setup.describe()));
         }
@@ -62,8 +59,7 @@ pub fn of_table(rows: &[TableRow]) -> Vec<Bar> {
     bars
 }
 
-/// Fails if a request was lost or changed on its way through GDP, or if its answer differs from that
-/// over routers.
+/// Fails if GDP lost or changed a request, or if an answer differs from that over routers.
 pub fn check(rows: &[TableRow]) -> Result<()> {
     for row in rows.iter().filter(|row| matches!(row.setup, Setup::Gdp | Setup::Domains)) {
         let name = || format!("{}, {}", row.of.describe(), row.setup.describe());

@@ -12,6 +12,7 @@ mod roam;
 mod site;
 mod stages;
 mod table1;
+mod table_row;
 mod tools;
 mod trial;
 mod workload;

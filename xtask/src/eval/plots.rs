@@ -7,7 +7,7 @@ use clap::ValueEnum as _;
 use gdp_tests::measure::figure::{Figure, Measure, Unit};
 use gdp_tests::measure::plot;
 
-use super::table1::TableRow;
+use super::table_row::TableRow;
 use super::trial::Trial;
 use super::workload::Workload;
 

@@ -13,7 +13,7 @@ use serde_json::json;
 use super::raw::RawRows;
 use super::site::{Network, Site};
 use super::tools::EvalTools;
-use super::trial::{Requests, Running, monotonic, slowest_since};
+use super::trial::{Requests, RunningWorkload, monotonic, slowest_since};
 use super::workload::Workload;
 use crate::workspace::Profile;
 
@@ -110,7 +110,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut site = Site::ring(&tools, Workload::Slam.topics())?;
     let seconds = (FAULT + PAUSE).as_secs_f64() * (faults.len() as f64) + 3.0;
     let requests = Requests::for_seconds(seconds, options.quick);
-    let running = Running::start(&tools, &site, Workload::Slam, requests, folder.path())?;
+    let running = RunningWorkload::start(&tools, &site, Workload::Slam, requests, folder.path())?;
     wait::sleep(PAUSE)?;
     let mut rows = Vec::new();
     for fault in faults {
@@ -141,7 +141,7 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// Lets a fault happen and pass.
-fn endure(fault: RingFault, site: &mut Site, running: &Running) -> Result<FaultRow> {
+fn endure(fault: RingFault, site: &mut Site, running: &RunningWorkload) -> Result<FaultRow> {
     let since = monotonic()?;
     let before = ring(site)?.path()?;
     fault.begin(ring(site)?)?;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use gdp_tests::federation::{Federation, Site as Place};
-use gdp_tests::peers::{ON_LOOPBACK, Received, received};
+use gdp_tests::peers::{self, ON_LOOPBACK, Received};
 use gdp_tests::process::Process;
 use gdp_tests::programs::Program;
 use gdp_tests::topics::{FabricTopic, MASTER};
@@ -20,7 +20,7 @@ use super::links::LinkKind;
 use super::raw::RawRows;
 use super::site::{Network, Setup, Site};
 use super::tools::EvalTools;
-use super::trial::{Requests, Running, Trial, monotonic, slowest_since};
+use super::trial::{Requests, RunningWorkload, Trial, monotonic, slowest_since};
 use super::workload::Workload;
 use crate::workspace::Profile;
 
@@ -67,17 +67,17 @@ pub fn run(options: &Options) -> Result<()> {
     let seconds = STAY.as_secs_f64() * f64::from(moves + 1) + 2.0;
     let requests = Requests::for_seconds(seconds, options.quick);
     let mut pilot = Pilot::start(&tools, federation(&mut site)?, folder)?;
-    let running = Running::start(&tools, &site, Workload::Slam, requests, folder)?;
+    let running = RunningWorkload::start(&tools, &site, Workload::Slam, requests, folder)?;
     pilot.steer(folder)?;
     wait::sleep(STAY)?;
     let mut rows = Vec::new();
     for i in 0..moves {
         let place = if i % 2 == 0 { Place::University } else { Place::Enterprise };
-        let (since, heard) = (monotonic()?, pilot.heard().len());
+        let (since, before) = (monotonic()?, pilot.received().len());
         federation(&mut site)?.roam(place)?;
         wait::sleep(STAY)?;
         let slowest_image = slowest_since(&running.exchanges(), since)?;
-        let slowest_command = pilot.heard().iter().skip(heard).map(|it| it.latency).max().unwrap_or(STAY);
+        let slowest_command = pilot.received().iter().skip(before).map(|it| it.latency).max().unwrap_or(STAY);
         let to = if place == Place::University { "the university's" } else { "the enterprise's" };
         rows.push(MoveRow {
             to,
@@ -86,7 +86,7 @@ pub fn run(options: &Options) -> Result<()> {
         });
     }
     let trial = running.finish(&site)?;
-    let commands = pilot.heard();
+    let commands = pilot.received();
     let lost = commands.last().map_or(0, |last| last.sequence as usize + 1 - commands.len());
     let mut raw = RawRows::create("roam")?;
     rows.iter().try_for_each(|row| raw.write(row))?;
@@ -129,7 +129,7 @@ fn milliseconds(time: Duration) -> f64 {
 }
 
 /// A ROS 1 master and a rospy node in the cloud that sends commands, and a ROS 2 node on the robot
-/// that hears them.
+/// that receives them.
 struct Pilot {
     listener: Process,
     _talker: Process,
@@ -153,7 +153,7 @@ impl Pilot {
         let mut listen = federation.robot.command(tools.tools.python()?)?;
         listen.arg(tools.tools.cyclone()).args(["listen", "--topic", "rt/commands", "--depth", "100"]);
         listen.env("CYCLONEDDS_URI", ON_LOOPBACK);
-        let mut listener = Process::spawn("commands-heard", listen, folder)?;
+        let mut listener = Process::spawn("commands-received", listen, folder)?;
         let talker = Process::spawn("commands-sent", talk, folder)?;
         let came = |p: &Process| p.json_lines().iter().any(|line| line["event"] == "message").then_some(());
         listener.wait_until("a first command", wait::TIMEOUT, came).with_context(|| talker.report())?;
@@ -166,8 +166,8 @@ impl Pilot {
         std::fs::write(&gate, "").with_context(|| format!("cannot write {}", gate.display()))
     }
 
-    fn heard(&self) -> Vec<Received> {
-        received(&self.listener)
+    fn received(&self) -> Vec<Received> {
+        peers::received(&self.listener)
     }
 }
 

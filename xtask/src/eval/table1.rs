@@ -6,16 +6,15 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::ValueEnum as _;
 use gdp_tests::wait;
-use serde::Serialize;
 
 use super::bars;
 use super::links::LinkKind;
 use super::plots;
 use super::raw::RawRows;
 use super::site::{Setup, Site};
-use super::stages::Stages;
+use super::table_row::{TableRow, print_table};
 use super::tools::EvalTools;
-use super::trial::{Requests, Running, Times, Trial};
+use super::trial::{Requests, RunningWorkload, Trial};
 use super::workload::Workload;
 use crate::workspace::Profile;
 
@@ -42,19 +41,6 @@ pub struct Options {
     /// Workload to measure; repeat for several. Default: all
     #[arg(long = "workload", value_enum)]
     pub workloads: Vec<Workload>,
-}
-
-/// One line of the table.
-#[derive(Serialize)]
-pub struct TableRow {
-    pub workload: &'static str,
-    #[serde(skip)]
-    pub of: Workload,
-    pub setup: Setup,
-    pub links: LinkKind,
-    pub round: u32,
-    #[serde(flatten)]
-    pub trial: Trial,
 }
 
 pub fn run(options: &Options) -> Result<()> {
@@ -117,47 +103,5 @@ fn measure(tools: &EvalTools, setup: Setup, links: LinkKind, workload: Workload,
     wait::check_interrupt()?;
     let folder = tempfile::Builder::new().prefix("gdp-eval-").tempdir().context("cannot create a folder")?;
     let site = Site::start(tools, setup, &links.cables(), workload.topics(), folder.path())?;
-    Running::start(tools, &site, workload, requests, folder.path())?.finish(&site)
-}
-
-/// Prints all rows as a table of Markdown.
-fn print_table(rows: &[TableRow]) {
-    println!(
-        "| workload | links | setup | answered | to the edge | compute | to the robot | total | robot's CPU | \
-         wake-ups/s | uplink | result |"
-    );
-    println!("|{}", " --- |".repeat(12));
-    for TableRow { of, setup, links, trial, .. } in rows {
-        let times = |Times { p50, p99 }| format!("{p50:.1} ({p99:.1})");
-        println!(
-            "| {} | {} | {} | {}/{} | {} | {} | {} | {} | {:.1} ms | {:.0} | {:.2} MB | {} |",
-            of.describe(),
-            links.name(),
-            setup.describe(),
-            trial.requests - trial.lost,
-            trial.requests,
-            times(trial.to_edge_ms),
-            times(trial.compute_ms),
-            times(trial.to_robot_ms),
-            times(trial.total_ms),
-            trial.robot_cpu_ms,
-            trial.robot_wakeups,
-            trial.uplink_bytes / 1e6,
-            of.result(&trial.result),
-        );
-    }
-    println!("Times in milliseconds, median and (p99). CPU and uplink per request.\n");
-    println!("| workload | setup | topic | robot's DDS | seal, sign, send | proxy to proxy | write into DDS |");
-    println!("|{}", " --- |".repeat(7));
-    for TableRow { of, setup, links, trial, .. } in rows {
-        for Stages { topic, dds_ms, send_ms, fabric_ms, write_ms } in &trial.stages {
-            println!(
-                "| {} | {}, {} links | {topic} | {dds_ms:.1} | {send_ms:.1} | {fabric_ms:.1} | {write_ms:.1} |",
-                of.describe(),
-                setup.describe(),
-                links.name()
-            );
-        }
-    }
-    println!("Medians in milliseconds, by the proxies' statistics. The third contains the second.\n");
+    RunningWorkload::start(tools, &site, workload, requests, folder.path())?.finish(&site)
 }

@@ -23,7 +23,7 @@ const START: Duration = Duration::from_secs(60);
 
 /// The robot waits this long for its last replies, and for each reply of a workload that asks one
 /// request after the other.
-const PATIENCE: Duration = Duration::from_secs(10);
+const REPLY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Requests of a workload, and how fast they come.
 #[derive(Clone, Copy)]
@@ -43,7 +43,7 @@ impl Requests {
 }
 
 /// A running workload.
-pub struct Running {
+pub struct RunningWorkload {
     robot: Process,
     edge: Process,
     workload: Workload,
@@ -100,7 +100,7 @@ pub struct Times {
     pub p99: f64,
 }
 
-impl Running {
+impl RunningWorkload {
     /// Starts both programs, waits until a first request was answered, and lets the robot begin.
     pub fn start(
         tools: &EvalTools,
@@ -128,7 +128,7 @@ impl Running {
 
     /// Returns the longest time in which all requests are answered or given up.
     fn limit(&self) -> Duration {
-        PATIENCE * (self.requests.count + 1)
+        REPLY_TIMEOUT * (self.requests.count + 1)
     }
 
     /// Returns the requests so far, in order.
