@@ -383,7 +383,7 @@ impl Authority<'_> {
     }
 
     /// Creates the owner's key.
-    pub(crate) fn owner(&self) -> Result<String> {
+    pub fn owner(&self) -> Result<String> {
         self.key(OWNER, "owner.pem", "owner")
     }
 

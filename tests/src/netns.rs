@@ -21,6 +21,8 @@ const PREFIX: &str = "gdp-";
 #[derive(Debug)]
 pub struct Namespace {
     name: String,
+    /// Whether this is the caller's own namespace, which nobody created here.
+    is_own: bool,
 }
 
 impl Namespace {
@@ -30,7 +32,7 @@ impl Namespace {
         let number = COUNT.fetch_add(1, Ordering::Relaxed);
         let name = format!("{PREFIX}{}-{number}-{label}", std::process::id());
         ip(&["netns", "add", &name])?;
-        let namespace = Self { name };
+        let namespace = Self { name, is_own: false };
         {
             let _inside = namespace.enter()?;
             // Otherwise the kernel's own neighbour and router discovery mixes with the counted
@@ -42,6 +44,12 @@ impl Namespace {
         }
         namespace.ip(&["link", "set", "lo", "up"])?;
         Ok(namespace)
+    }
+
+    /// Returns the calling thread's namespace, in which commands start without root. It stays as it
+    /// is when the handle is dropped.
+    pub fn here() -> Self {
+        Self { name: "the present namespace".into(), is_own: true }
     }
 
     /// Turns IPv6 on, for `lo` and future interfaces, without duplicate address detection.
@@ -62,6 +70,9 @@ impl Namespace {
 
     /// Runs `ip -n THIS …`.
     pub fn ip(&self, arguments: &[&str]) -> Result<String> {
+        if self.is_own {
+            return ip(arguments);
+        }
         ip(&[&["-n", self.name.as_str()], arguments].concat())
     }
 
@@ -92,6 +103,9 @@ impl Namespace {
 
     /// Returns a command that runs its program in this namespace.
     pub fn command(&self, program: impl Executable) -> Result<Command> {
+        if self.is_own {
+            return Ok(program.command());
+        }
         let namespace = self.open()?;
         let mut command = program.command();
         // SAFETY: setns on an open descriptor is async-signal-safe and allocates nothing.
@@ -110,13 +124,19 @@ impl Namespace {
     }
 
     fn open(&self) -> Result<File> {
-        let path = PathBuf::from("/run/netns").join(&self.name);
+        let path = match self.is_own {
+            true => PathBuf::from("/proc/thread-self/ns/net"),
+            false => PathBuf::from("/run/netns").join(&self.name),
+        };
         File::open(&path).with_context(|| format!("cannot open {}", path.display()))
     }
 }
 
 impl Drop for Namespace {
     fn drop(&mut self) {
+        if self.is_own {
+            return;
+        }
         if let Err(error) = ip(&["netns", "del", &self.name]) {
             eprintln!("{error:#}");
         }

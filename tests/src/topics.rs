@@ -1,6 +1,7 @@
 //! Topics between a robot and a cloud: their names and rights, and the proxies that carry them.
 
 use std::path::Path;
+use std::process::Command;
 
 use anyhow::Result;
 use serde_json::{Value, json};
@@ -20,6 +21,24 @@ pub struct FabricTopic {
     pub from_robot: bool,
     /// Whether the cloud has it in ROS 1, at [`MASTER`].
     pub in_ros1: bool,
+}
+
+impl FabricTopic {
+    /// Returns the stem of the topic's files: its card and the certificates of its two ends.
+    pub fn stem(&self) -> String {
+        self.topic.trim_start_matches('/').replace('/', "_")
+    }
+
+    /// Returns an end's entry of `topics` in the configuration of its proxy.
+    pub fn entry(&self, publishes: bool) -> Value {
+        let (direction, right) = if publishes { ("out", "cert") } else { ("in", "grant") };
+        let stem = self.stem();
+        json!({
+            "topic": self.topic, "type": self.kind, "direction": direction,
+            "card": format!("{stem}.card"), (right): format!("{stem}.cert"),
+            "qos": {"reliability": "reliable", "durability": "volatile", "depth": DEPTH},
+        })
+    }
 }
 
 /// The ROS 1 master of the cloud.
@@ -54,20 +73,15 @@ impl Authority<'_> {
         let publish: Vec<&str> =
             ["--publish"].into_iter().chain(scope.iter().flat_map(|domain| ["--scope", domain])).collect();
         let has_ros1 = topics.iter().any(|topic| topic.in_ros1);
-        for FabricTopic { topic, kind, from_robot, in_ros1 } in topics {
-            let file = topic.trim_start_matches('/').replace('/', "_");
+        for it @ FabricTopic { topic, kind, from_robot, in_ros1 } in topics {
+            let file = it.stem();
             self.name("topic", topic, kind, &format!("{file}.card"))?;
             for (label, entries, publishes) in
                 [("robot", &mut both.robot, *from_robot), ("cloud", &mut both.cloud, !*from_robot)]
             {
-                let (direction, right, rights) =
-                    if publishes { ("out", "cert", &publish[..]) } else { ("in", "grant", &["--read"][..]) };
+                let rights = if publishes { &publish[..] } else { &["--read"][..] };
                 self.hand(label, &self.name_of(label)?, rights, &file)?;
-                let mut entry = json!({
-                    "topic": topic, "type": kind, "direction": direction,
-                    "card": format!("{file}.card"), (right): format!("{file}.cert"),
-                    "qos": {"reliability": "reliable", "durability": "volatile", "depth": DEPTH},
-                });
+                let mut entry = it.entry(publishes);
                 if has_ros1 && label == "cloud" {
                     entry["graph"] = json!(if *in_ros1 { ROS1 } else { ROS2 });
                 }
@@ -96,6 +110,11 @@ impl ProxyPlan<'_> {
     /// Starts `gdp-proxy` with this configuration. It writes its statistics to `stats.json`.
     /// `files`: the parent of the proxy's folder, and the place of its output.
     pub fn start(self, tools: &Tools, at: &Namespace, files: &Path, label: &str) -> Result<Process> {
+        Process::spawn(&format!("{label}-proxy"), self.command(tools, at, files, label)?, files)
+    }
+
+    /// Writes the configuration, and returns the command that [`ProxyPlan::start`] starts.
+    pub fn command(self, tools: &Tools, at: &Namespace, files: &Path, label: &str) -> Result<Command> {
         let folder = files.join(label);
         let mut config = json!({
             "identity": "key.pem",
@@ -111,6 +130,6 @@ impl ProxyPlan<'_> {
         write_yaml(&path, &config)?;
         let mut command = at.command(tools.gdp_proxy()?)?;
         command.arg("--config").arg(path).arg("--stats").arg(folder.join("stats.json"));
-        Process::spawn(&format!("{label}-proxy"), command, files)
+        Ok(command)
     }
 }

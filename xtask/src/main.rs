@@ -9,6 +9,7 @@ mod check;
 mod debug_symbols;
 mod demo;
 mod eval;
+mod field_report;
 mod fresh;
 mod fuzz;
 mod pairings;
@@ -58,6 +59,8 @@ enum Verb {
     Bench(bench::Options),
     /// Make a figure of the paper's evaluation again, and print a table or JSON (needs root)
     Eval(eval::Options),
+    /// Measure between two own machines, and print a table to send in (needs root on one of them)
+    FieldReport(field_report::Options),
 }
 
 fn main() -> ExitCode {
@@ -74,6 +77,7 @@ fn main() -> ExitCode {
         Verb::Fresh(options) => fresh::run(options),
         Verb::Bench(options) => bench::run(options),
         Verb::Eval(options) => eval::run(options),
+        Verb::FieldReport(options) => field_report::run(options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
