@@ -274,3 +274,7 @@ fn unicast(peer: &str) -> String {
          </CycloneDDS>"
     )
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/site.rs"]
+mod tests;

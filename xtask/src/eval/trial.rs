@@ -133,26 +133,7 @@ impl RunningWorkload {
 
     /// Returns the requests so far, in order.
     pub fn exchanges(&self) -> Vec<Exchange> {
-        let mut all: BTreeMap<i64, Exchange> = BTreeMap::new();
-        for line in self.robot.json_lines() {
-            let Some(id) = line["id"].as_i64().filter(|id| *id >= 0) else { continue };
-            let exchange = all.entry(id).or_default();
-            match line["event"].as_str() {
-                Some("request") => {
-                    exchange.sent = line["sent"].as_u64();
-                    exchange.digests[0] = text(&line["digest"]);
-                }
-                Some("reply") => exchange.back = line["received"].as_u64(),
-                _ => (),
-            }
-        }
-        for line in self.edge.json_lines().iter().filter(|line| line["event"] == "compute") {
-            let Some(exchange) = line["id"].as_i64().and_then(|id| all.get_mut(&id)) else { continue };
-            exchange.at_edge = line["received"].as_u64();
-            exchange.replied = line["replied"].as_u64();
-            exchange.digests[1] = text(&line["digest"]);
-        }
-        all.into_values().collect()
+        Exchange::join(&self.robot.json_lines(), &self.edge.json_lines())
     }
 
     /// Waits until the robot has all its answers.
@@ -202,6 +183,31 @@ impl Spent {
 }
 
 impl Exchange {
+    /// Joins what robot and edge have printed, by the requests' numbers. Requests before the first
+    /// that counts have negative numbers.
+    fn join(robot: &[Value], edge: &[Value]) -> Vec<Self> {
+        let mut all: BTreeMap<i64, Self> = BTreeMap::new();
+        for line in robot {
+            let Some(id) = line["id"].as_i64().filter(|id| *id >= 0) else { continue };
+            match line["event"].as_str() {
+                Some("request") => {
+                    let exchange = all.entry(id).or_default();
+                    exchange.sent = line["sent"].as_u64();
+                    exchange.digests[0] = text(&line["digest"]);
+                }
+                Some("reply") => all.entry(id).or_default().back = line["received"].as_u64(),
+                _ => (),
+            }
+        }
+        for line in edge.iter().filter(|line| line["event"] == "compute") {
+            let Some(exchange) = line["id"].as_i64().and_then(|id| all.get_mut(&id)) else { continue };
+            exchange.at_edge = line["received"].as_u64();
+            exchange.replied = line["replied"].as_u64();
+            exchange.digests[1] = text(&line["digest"]);
+        }
+        all.into_values().collect()
+    }
+
     fn is_damaged(&self) -> bool {
         matches!(&self.digests, [Some(sent), Some(received)] if sent != received)
     }
@@ -219,10 +225,13 @@ impl Times {
 /// Returns the longest time that a request took to the edge, of those sent since then. A request
 /// that has not arrived counts with its age.
 pub fn slowest_since(exchanges: &[Exchange], since: u64) -> Result<Duration> {
-    let now = monotonic()?;
+    Ok(slowest(exchanges, since, monotonic()?))
+}
+
+fn slowest(exchanges: &[Exchange], since: u64, now: u64) -> Duration {
     let recent = exchanges.iter().filter_map(|it| it.sent.filter(|sent| *sent >= since).map(|sent| (sent, it)));
     let age = |(sent, it): (u64, &Exchange)| it.at_edge.unwrap_or(now).saturating_sub(sent);
-    Ok(Duration::from_nanos(recent.map(age).max().unwrap_or_default()))
+    Duration::from_nanos(recent.map(age).max().unwrap_or_default())
 }
 
 /// Returns the time of the clock that stamps requests, in nanoseconds.
@@ -237,3 +246,7 @@ pub fn monotonic() -> Result<u64> {
 fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/trial.rs"]
+mod tests;

@@ -119,7 +119,10 @@ impl Robot<'_> {
             let stats: Value = serde_json::from_str(&text).ok()?;
             Some(stats["switch"].as_str()?.to_owned())
         };
-        let attached = proxy.wait_until("to attach", ATTACH, |_| switch());
+        let attached = wait_for("the edge's switch", ATTACH, || {
+            proxy.check_alive()?;
+            Ok(switch())
+        });
         check_interrupt()?;
         let attached = attached.with_context(|| {
             format!(
@@ -162,7 +165,10 @@ impl Robot<'_> {
                 PLAIN_PORTS.start(),
                 PLAIN_PORTS.end()
             ),
-            EchoPath::Gdp => format!("GDP gets no reply from {}: see what `field-report serve` says there", self.to),
+            EchoPath::Gdp => format!(
+                "GDP gets no reply from {}: compare the clocks of both machines, since certificates are dated",
+                self.to
+            ),
         }
     }
 }

@@ -3,7 +3,7 @@
 //! - [`serve`]: the edge, with switch, proxy and echo programs; it writes one file for the robot
 //! - [`measure`]: the robot, which asks and keeps the time; [`report`]: its table
 //! - [`in_namespaces`]: both in two network namespaces of this machine, as a check of this verb
-//! - [`robot_file`]: the file; [`nic`]: machines and interfaces; [`echo`]: the programs at both ends
+//! - [`robot_file`]: the file; [`nic`]: machines, interfaces; [`echo`]: the programs at both ends
 
 mod echo;
 mod in_namespaces;

@@ -61,10 +61,10 @@ impl RobotFile {
         let cannot = || format!("cannot read {shown}: copy it from the edge, where `field-report serve` wrote it");
         // A named pipe would block.
         ensure!(fs::metadata(path).with_context(cannot)?.is_file(), "{shown} is not a file");
-        let mut text = String::new();
-        File::open(path).with_context(cannot)?.take(MOST_BYTES + 1).read_to_string(&mut text).with_context(cannot)?;
-        ensure!(text.len() as u64 <= MOST_BYTES, "{shown} is longer than a file of `field-report serve` can be");
-        let parsed = parse(&text).with_context(|| format!("{shown} is not a file of `field-report serve`"))?;
+        let mut bytes = Vec::new();
+        File::open(path).with_context(cannot)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).with_context(cannot)?;
+        ensure!(bytes.len() as u64 <= MOST_BYTES, "{shown} is longer than a file of `field-report serve` can be");
+        let parsed = parse(&bytes).with_context(|| format!("{shown} is not a file of `field-report serve`"))?;
         Ok(Self { edge: parsed.edge.clean(), data_plane: clean(&parsed.data_plane, 40), ..parsed })
     }
 
@@ -76,17 +76,17 @@ impl RobotFile {
 }
 
 /// Errors quote what the file contains, so they are cleaned.
-fn parse(text: &str) -> Result<RobotFile> {
+fn parse(bytes: &[u8]) -> Result<RobotFile> {
     #[derive(Deserialize)]
     struct OnlyVersion {
         version: u64,
     }
     let cleaned = |error: serde_json::Error| anyhow::anyhow!(clean(&error.to_string(), 200));
-    let OnlyVersion { version } = serde_json::from_str(text).map_err(cleaned)?;
+    let OnlyVersion { version } = serde_json::from_slice(bytes).map_err(cleaned)?;
     if version != VERSION {
         bail!("it has version {version}, and this tree has {VERSION}: use the same commit on both machines");
     }
-    let parsed: RobotFile = serde_json::from_str(text).map_err(cleaned)?;
+    let parsed: RobotFile = serde_json::from_slice(bytes).map_err(cleaned)?;
     let is_name = parsed.switch.len() == 64 && parsed.switch.bytes().all(|byte| byte.is_ascii_hexdigit());
     ensure!(is_name, "`switch` is not a name of 64 hex digits");
     for name in names() {

@@ -44,8 +44,8 @@ pub fn run(options: &Options) -> Result<()> {
     edge.robot_file()?.write(&written.0)?;
     println!("{}", edge.describe()?);
     println!(
-        "\nCopy {} to the robot. It contains a private key, which was made only for this test and which\n\
-         nothing accepts after it. Then run there:\n\n\
+        "\nCopy this file to the robot: {}\n\
+         It contains a private key, which was made for this test only. Then run there:\n\n\
          \x20 cargo xtask field-report measure robot.json --to {}\n\n\
          A firewall has to let UDP ports {GDP_PORT} and {}-{} through. Ctrl-C ends the test.",
         written.0.display(),
