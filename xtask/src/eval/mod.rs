@@ -76,7 +76,8 @@ fn all(options: AllOptions) -> Result<()> {
     let begun = Instant::now();
     let links = LinkKind::value_variants().to_vec();
     fig5::run(fig5::Options { json, plots: plots.clone(), rounds: 1, links, quick, checked })?;
-    table1::run(&table1::Options { json, plots, rounds: 1, quick, checked, links: Vec::new(), workloads: Vec::new() })?;
+    let (links, workloads, setups) = (Vec::new(), Vec::new(), Vec::new());
+    table1::run(&table1::Options { json, plots, rounds: 1, quick, checked, links, workloads, setups })?;
     ring::run(&ring::Options { json, seed: ring::SEED, quick, checked })?;
     roam::run(&roam::Options { json, quick, checked })?;
     eprintln!("all of it took {:.1} minutes", begun.elapsed().as_secs_f64() / 60.0);

@@ -33,26 +33,24 @@ pub const EDGE_CPU: usize = cpu::OTHER;
 /// little more than one core busy, so the number of cores is left out.
 pub const ROBOT_SHARE: f64 = 0.5;
 
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Setup {
-    /// Both programs on the robot, which has [`ROBOT_SHARE`] of a processor.
+    /// Both programs on the robot, which has half of a processor
     RobotOnly,
-    /// DDS over one cable.
+    /// DDS over one cable
     Cable,
-    /// DDS over three kernel routers.
+    /// DDS over three kernel routers
     Routers,
-    /// Two zenoh bridges with TLS over the same routers.
+    /// Two zenoh bridges with TLS over the same routers
     Zenoh,
-    /// Two proxies and three XDP switches, over Ethernet.
+    /// Two proxies and three XDP switches, over Ethernet
     Gdp,
-    /// Two proxies behind NAT in two trust domains, with the border of a third between them.
+    /// Two proxies behind NAT in two trust domains, with the border of a third between them
     Domains,
 }
 
 impl Setup {
-    pub const ALL: [Self; 6] = [Self::RobotOnly, Self::Cable, Self::Routers, Self::Zenoh, Self::Gdp, Self::Domains];
-
     pub fn describe(self) -> &'static str {
         match self {
             Self::RobotOnly => "robot only",

@@ -41,24 +41,25 @@ pub struct Options {
     /// Workload to measure; repeat for several. Default: all
     #[arg(long = "workload", value_enum)]
     pub workloads: Vec<Workload>,
+    /// Setup to measure; repeat for several. Default: all
+    #[arg(long = "setup", value_enum)]
+    pub setups: Vec<Setup>,
 }
 
 pub fn run(options: &Options) -> Result<()> {
-    let all =
-        |chosen: &[Workload]| if chosen.is_empty() { Workload::value_variants().to_vec() } else { chosen.to_vec() };
     let links = match (&options.links[..], options.quick) {
         ([], true) => vec![LinkKind::Plain],
         ([], false) => LinkKind::value_variants().to_vec(),
         (chosen, _) => chosen.to_vec(),
     };
     let profile = if options.checked { Profile::Checked } else { Profile::Dist };
-    let tools = EvalTools::prepare(profile, !options.quick)?;
+    let tools = EvalTools::prepare(profile, options.setups_on(LinkKind::Plain).contains(&Setup::Zenoh))?;
     let mut raw = RawRows::create("table1")?;
     let mut rows = Vec::new();
     for links in links {
-        for workload in all(&options.workloads) {
+        for workload in chosen(&options.workloads) {
             for round in 0..options.rounds.max(1) {
-                for setup in setups(links, options.quick) {
+                for setup in options.setups_on(links) {
                     eprintln!("{}: {}, {} links", workload.describe(), setup.describe(), links.name());
                     let trial = measure(&tools, setup, links, workload, requests(workload, options.quick))?;
                     let row = TableRow { workload: workload.name(), of: workload, setup, links, round, trial };
@@ -82,11 +83,18 @@ pub fn run(options: &Options) -> Result<()> {
     bars::check(&rows)
 }
 
-/// Returns the setups whose network can have these links.
-fn setups(links: LinkKind, quick: bool) -> Vec<Setup> {
-    let is_quick = |setup: &Setup| matches!(setup, Setup::RobotOnly | Setup::Routers | Setup::Gdp | Setup::Domains);
-    let all = Setup::ALL.into_iter().filter(|setup| !quick || is_quick(setup));
-    all.filter(|setup| links == LinkKind::Plain || setup.has_wire()).collect()
+impl Options {
+    /// Returns the chosen setups whose network can have these links.
+    fn setups_on(&self, links: LinkKind) -> Vec<Setup> {
+        let is_quick = |setup: &Setup| !matches!(setup, Setup::Cable | Setup::Zenoh);
+        let all = chosen(&self.setups).into_iter().filter(|setup| !self.quick || is_quick(setup));
+        all.filter(|setup| links == LinkKind::Plain || setup.has_wire()).collect()
+    }
+}
+
+/// Returns all values if none is chosen.
+fn chosen<T: clap::ValueEnum>(values: &[T]) -> Vec<T> {
+    if values.is_empty() { T::value_variants().to_vec() } else { values.to_vec() }
 }
 
 fn requests(workload: Workload, quick: bool) -> Requests {
