@@ -40,7 +40,9 @@ fn values(figure: &Figure) -> Chart {
             segments: vec![(measure.spread.median, colour(measure.verdict, BLUE))],
             spread: Some((measure.spread.low, measure.spread.high)),
             mark: measure.verdict.map(|verdict| verdict.aim.value()),
-            text: figure.unit.show(measure.spread.median) + &aim(measure.verdict, |aim| figure.unit.number(aim)),
+            text: figure.unit.show(measure.spread.median)
+                + &aim(measure.verdict, |aim| figure.unit.number(aim))
+                + &lost(measure),
         });
         Group { heading: case.to_owned(), full, rows: rows.collect() }
     });
@@ -108,6 +110,11 @@ fn colour(verdict: Option<Verdict>, without: &'static str) -> &'static str {
 
 fn aim(verdict: Option<Verdict>, number: impl Fn(f64) -> String) -> String {
     verdict.map_or(String::new(), |verdict| format!(" (aim {})", verdict.aim.shown(number)))
+}
+
+fn lost(measure: &Measure) -> String {
+    let lost = measure.lost_percent.filter(|lost| *lost > 0.0);
+    lost.map_or(String::new(), |lost| format!(", {lost:.2} % lost"))
 }
 
 fn write(folder: &Path, name: &str, chart: &Chart) -> Result<()> {
