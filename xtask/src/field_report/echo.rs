@@ -32,10 +32,10 @@ const PLAIN_DOMAIN: u16 = 62;
 pub const PLAIN_PORTS: std::ops::RangeInclusive<u16> = 7400 + 250 * PLAIN_DOMAIN..=7649 + 250 * PLAIN_DOMAIN;
 
 /// Installs and builds what is missing.
-pub fn prepare() -> Result<Tools> {
+pub fn prepare(profile: Profile) -> Result<Tools> {
     setup::ensure(Purpose::Eval)?;
-    build::executables(Executables::All, Profile::Dist, Features::default())?;
-    Ok(workspace::tools(Profile::Dist))
+    build::executables(Executables::All, profile, Features::default())?;
+    Ok(workspace::tools(profile))
 }
 
 /// Returns the folder of what this verb writes, and creates it.

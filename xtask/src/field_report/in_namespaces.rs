@@ -11,15 +11,22 @@ use super::nic::Nic;
 use super::report::mark;
 use super::robot_file::RobotFile;
 use super::serve::Edge;
-use crate::workspace;
+use crate::workspace::{self, Profile};
+
+#[derive(clap::Args)]
+pub struct Options {
+    /// Run programs that are built as for the tests: quick to compile, and slower
+    #[arg(long)]
+    checked: bool,
+}
 
 /// Runs what `serve` and `measure` run, and fails if a path carries nothing or the veth is not
 /// marked.
-pub fn run() -> Result<()> {
+pub fn run(options: &Options) -> Result<()> {
     if !workspace::is_root() {
         bail!("network namespaces need root: run `sudo cargo xtask field-report try`");
     }
-    let tools = echo::prepare()?;
+    let tools = echo::prepare(if options.checked { Profile::Checked } else { Profile::Dist })?;
     wait::catch_interrupts();
     netns::sweep()?;
     let chain = Chain::build(ChainOptions { switches: 0, ..Default::default() })?;

@@ -19,6 +19,7 @@ use super::echo::{self, EchoPath, PLAIN_PORTS, TOPICS};
 use super::nic::{MachineFacts, Nic};
 use super::report::{FieldReport, RoundTrips};
 use super::robot_file::RobotFile;
+use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -64,7 +65,7 @@ pub fn run(options: &Options) -> Result<()> {
         Some(name) => Nic::find(&at, name)?,
         None => Nic::towards(&at, options.to)?,
     };
-    let tools = echo::prepare()?;
+    let tools = echo::prepare(Profile::Dist)?;
     wait::catch_interrupts();
     let effort = if options.quick { Effort::QUICK } else { Effort::FULL };
     let folder = echo::folder()?;

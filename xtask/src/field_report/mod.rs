@@ -28,13 +28,13 @@ enum ReportStep {
     /// Measure from the robot to the edge, and print the table to send in
     Measure(measure::Options),
     /// Run both in two network namespaces of this machine, to check this verb (needs root)
-    Try,
+    Try(in_namespaces::Options),
 }
 
 pub fn run(options: Options) -> Result<()> {
     match options.step {
         ReportStep::Serve(options) => serve::run(&options),
         ReportStep::Measure(options) => measure::run(&options),
-        ReportStep::Try => in_namespaces::run(),
+        ReportStep::Try(options) => in_namespaces::run(&options),
     }
 }

@@ -124,3 +124,7 @@ fn size(bytes: usize) -> String {
 fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/field_report/report.rs"]
+mod tests;

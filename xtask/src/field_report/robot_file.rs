@@ -110,3 +110,7 @@ fn write_private(path: &Path, text: &str) -> Result<()> {
     };
     write().with_context(|| format!("cannot write {}", path.display()))
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/field_report/robot_file.rs"]
+mod tests;

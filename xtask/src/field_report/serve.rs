@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use super::echo::{self, EchoPath, PLAIN_PORTS, TOPICS};
 use super::nic::{MachineFacts, Nic};
 use super::robot_file::RobotFile;
-use crate::workspace;
+use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -36,7 +36,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let nic = Nic::find(&at, &options.interface)?;
     nic.check_address(options.address)?;
-    let tools = echo::prepare()?;
+    let tools = echo::prepare(Profile::Dist)?;
     wait::catch_interrupts();
     let folder = echo::folder()?;
     let edge = Edge::start(&tools, &at, nic, &folder)?;
