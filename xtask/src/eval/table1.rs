@@ -47,6 +47,10 @@ pub struct Options {
 }
 
 pub fn run(options: &Options) -> Result<()> {
+    let workloads: Vec<Workload> = chosen(&options.workloads)
+        .into_iter()
+        .filter(|workload| !options.quick || *workload != Workload::GraspSmall)
+        .collect();
     let links = match (&options.links[..], options.quick) {
         ([], true) => vec![LinkKind::Plain],
         ([], false) => LinkKind::value_variants().to_vec(),
@@ -57,7 +61,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut raw = RawRows::create("table1")?;
     let mut rows = Vec::new();
     for links in links {
-        for workload in chosen(&options.workloads) {
+        for workload in workloads.iter().copied() {
             for round in 0..options.rounds.max(1) {
                 for setup in options.setups_on(links) {
                     eprintln!("{}: {}, {} links", workload.describe(), setup.describe(), links.name());
