@@ -52,12 +52,10 @@ pub fn print_table(rows: &[TableRow]) {
     println!("|{}", " --- |".repeat(7));
     for TableRow { of, setup, links, trial, .. } in rows {
         for Stages { topic, dds_ms, send_ms, fabric_ms, write_ms } in &trial.stages {
-            println!(
-                "| {} | {}, {} links | {topic} | {dds_ms:.1} | {send_ms:.1} | {fabric_ms:.1} | {write_ms:.1} |",
-                of.describe(),
-                setup.describe(),
-                links.name()
-            );
+            let stages = [dds_ms, send_ms, fabric_ms, write_ms];
+            let shown = stages.map(|time| time.map_or_else(|| "-".to_owned(), |time| format!("{time:.1}")));
+            let (setup, links) = (setup.describe(), links.name());
+            println!("| {} | {setup}, {links} links | {topic} | {} |", of.describe(), shown.join(" | "));
         }
     }
     println!("Medians in milliseconds, by the proxies' statistics. The third contains the second.\n");
