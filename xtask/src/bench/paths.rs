@@ -107,7 +107,7 @@ impl BenchRoute {
         match self {
             Self::Gdp => "gdp: proxy, 3 XDP switches, proxy",
             Self::GdpUdp => "gdp: the same, over UDP",
-            Self::GdpNat => "gdp: NAT, 4 switches in 3 domains, NAT",
+            Self::GdpNat => "gdp: 2 NATs, 4 switches, 3 domains",
             Self::Ip => "ip: 3 kernel routers, in clear",
             Self::Cable => "cable: one network, in clear",
             Self::FastDds => "fast dds: 3 routers, in clear",
@@ -139,10 +139,12 @@ pub const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10, vendor
 
 impl Load {
     /// Returns whether the path has programs for this load. Zenoh carries only topics of a ROS
-    /// node, and only the Cyclone program is one. The TCP programs have one topic.
+    /// node, and only the Cyclone program is one. The TCP programs and the federation have one
+    /// topic.
     pub fn is_carried_by(&self, route: BenchRoute) -> bool {
         match route {
             BenchRoute::Tcp | BenchRoute::TcpTls => self.topics == 1 && self.vendor == Vendor::Cyclone,
+            BenchRoute::GdpNat => self.topics == 1,
             _ => self.vendor == Vendor::Cyclone || !route.is_zenoh(),
         }
     }
