@@ -1,6 +1,7 @@
 """The robot: sends requests, waits for replies, and reports times and the workload's result."""
 
 import os
+import signal
 import time
 from dataclasses import dataclass
 
@@ -39,6 +40,7 @@ def main():
     parser.add_argument("--rate", type=float, help="requests per second; closed loops: at most")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--gate", help="send no request until this file exists")
+    parser.add_argument("--stay", action="store_true", help="after the last event, wait to be killed")
     parser.add_argument("--bytes", type=int, default=64, help="size of the image of `echo`")
     options = parser.parse_args()
     report = Report()
@@ -55,6 +57,9 @@ def main():
         robot.run_closed(options.count, options.rate)
     lost = options.count - len(robot.replies)
     report("done", lost=lost, **robot.workload.result(robot.replies))
+    # What this process has used can be read while it exists.
+    while options.stay:
+        signal.pause()
 
 
 class Robot:

@@ -21,9 +21,10 @@ impl Quota {
         let parent = if is_unified { root.to_owned() } else { root.join("cpu") };
         let folder = parent.join(format!("gdp-eval-{}", std::process::id()));
         let quota = (f64::from(PERIOD_US) * share) as u32;
-        if is_unified {
-            // Systems with systemd have the controller already.
-            write(&parent.join("cgroup.subtree_control"), "+cpu")?;
+        let controllers = fs::read_to_string(parent.join("cgroup.subtree_control")).unwrap_or_default();
+        if is_unified && !controllers.split_ascii_whitespace().any(|name| name == "cpu") {
+            write(&parent.join("cgroup.subtree_control"), "+cpu")
+                .context("the robot's share needs control groups with `cpu`")?;
         }
         let remedy =
             || format!("cannot create {}: the robot's share needs control groups with `cpu`", folder.display());

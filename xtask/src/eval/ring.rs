@@ -60,6 +60,17 @@ impl RingFault {
         }
     }
 
+    /// Returns whether a path crosses neither this cable nor this switch.
+    fn is_avoided_by(self, path: &[usize]) -> bool {
+        match self {
+            Self::Cut(i) => {
+                let ends = [i, (i + 1) % Self::SWITCHES];
+                path.windows(2).all(|hop| hop.iter().any(|switch| !ends.contains(switch)))
+            }
+            Self::PowerLoss(i) => !path.contains(&i),
+        }
+    }
+
     fn end(self, ring: &mut Ring) -> Result<()> {
         match self {
             Self::Cut(i) => ring.set_cable(i, true),
@@ -137,7 +148,7 @@ pub fn run(options: &Options) -> Result<()> {
             Workload::Slam.result(&trial.result)
         );
     }
-    trial.check_complete()
+    trial.check(Workload::Slam)
 }
 
 /// Lets a fault happen and pass.
@@ -146,9 +157,11 @@ fn endure(fault: RingFault, site: &mut Site, running: &RunningWorkload) -> Resul
     let before = ring(site)?.path()?;
     fault.begin(ring(site)?)?;
     wait::sleep(FAULT)?;
+    ring(site)?.wait("a path that avoids the fault", |ring| Ok(fault.is_avoided_by(&ring.path()?)))?;
     let during = ring(site)?.path()?;
     fault.end(ring(site)?)?;
     wait::sleep(PAUSE)?;
+    ring(site)?.wait("the path of before", |ring| Ok(ring.path()? == before))?;
     let after = ring(site)?.path()?;
     let slowest = slowest_since(&running.exchanges(), since)?;
     Ok(FaultRow { fault: fault.to_string(), before, during, after, slowest_ms: slowest.as_secs_f64() * 1e3 })

@@ -2,6 +2,7 @@
 //! vSLAM runs in the cloud. ROS 2 sends its images, and ROS 1 in the cloud sends its commands. Both
 //! ends are behind NAT in either network.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -38,7 +39,7 @@ pub struct Options {
 }
 
 /// Commands per second.
-const COMMAND_RATE: f64 = 50.0;
+const COMMAND_RATE: f64 = 20.0;
 
 /// Time in each network.
 const STAY: Duration = Duration::from_secs(6);
@@ -86,8 +87,9 @@ pub fn run(options: &Options) -> Result<()> {
         });
     }
     let trial = running.finish(&site)?;
-    let commands = pilot.received();
-    let lost = commands.last().map_or(0, |last| last.sequence as usize + 1 - commands.len());
+    let commands = pilot.finish()?;
+    let expected = commands.last().map_or(0, |last| *last as usize + 1);
+    let lost = expected - commands.len();
     let mut raw = RawRows::create("roam")?;
     rows.iter().try_for_each(|row| raw.write(row))?;
     let summary = json!({"commands": commands.len(), "commands_lost": lost, "trial": trial});
@@ -100,7 +102,7 @@ pub fn run(options: &Options) -> Result<()> {
         print(&rows, &trial, commands.len(), lost);
     }
     ensure!(lost == 0, "{lost} commands were lost");
-    trial.check_complete()
+    trial.check(Workload::Slam)
 }
 
 fn print(rows: &[MoveRow], trial: &Trial, commands: usize, lost: usize) {
@@ -164,6 +166,14 @@ impl Pilot {
     fn steer(&mut self, folder: &Path) -> Result<()> {
         let gate = gate(folder);
         std::fs::write(&gate, "").with_context(|| format!("cannot write {}", gate.display()))
+    }
+
+    /// Waits for further commands, and returns the numbers of all, each once.
+    fn finish(&mut self) -> Result<BTreeSet<i64>> {
+        let so_far = self.received().len();
+        let further = |p: &Process| (peers::received(p).len() > so_far + 5).then_some(());
+        self.listener.wait_until("further commands", wait::TIMEOUT, further)?;
+        Ok(self.received().iter().map(|command| command.sequence).collect())
     }
 
     fn received(&self) -> Vec<Received> {

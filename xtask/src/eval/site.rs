@@ -239,16 +239,21 @@ impl Site {
         Some([read(robot?), read(edge?)])
     }
 
-    /// Says if the cable with faults lost frames that it should have carried.
-    pub fn check_wire(&self) {
-        if let Some(Err(error)) = self.wire.as_ref().map(Wire::check) {
-            eprintln!("not comparable: {error:#}");
-        }
+    /// Returns whether the cable with faults carried all frames that it should have, and says why
+    /// not.
+    pub fn check_wire(&self) -> bool {
+        let checked = self.wire.as_ref().map_or(Ok(()), Wire::check);
+        checked.inspect_err(|error| eprintln!("not comparable: {error:#}")).is_ok()
+    }
+
+    /// Returns whether the edge's program is on the robot as well.
+    pub fn is_robot_only(&self) -> bool {
+        matches!(self.network, Network::Host(_))
     }
 
     /// Returns the bytes that have left and entered the robot by its uplink.
     pub fn uplink_bytes(&self) -> Result<u64> {
-        if matches!(self.network, Network::Host(_)) {
+        if self.is_robot_only() {
             return Ok(0);
         }
         let _inside = self.ends()[0].enter()?;

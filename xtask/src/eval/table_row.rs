@@ -44,7 +44,7 @@ pub fn print_table(rows: &[TableRow]) {
             trial.robot_cpu_ms,
             trial.robot_wakeups,
             trial.uplink_bytes / 1e6,
-            of.result(&trial.result),
+            if trial.is_comparable { of.result(&trial.result) } else { "not comparable".to_owned() },
         );
     }
     println!("Times in milliseconds, median and (p99). CPU and uplink per request.\n");

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp_tests::peers::percentile;
 use gdp_tests::process::Process;
+use gdp_tests::wait;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -68,7 +69,9 @@ pub struct Exchange {
     pub replied: Option<u64>,
     pub back: Option<u64>,
     /// Digests of the request, at the robot and at the edge.
-    digests: [Option<String>; 2],
+    request: [Option<String>; 2],
+    /// Digests of the reply, at the robot and at the edge.
+    reply: [Option<String>; 2],
 }
 
 /// What a workload took, of all requests that were answered.
@@ -77,7 +80,7 @@ pub struct Trial {
     pub requests: usize,
     /// Requests without an answer.
     pub lost: usize,
-    /// Requests that are other bytes at the edge than at the robot.
+    /// Requests or replies that are other bytes at the edge than at the robot.
     pub damaged: usize,
     pub to_edge_ms: Times,
     pub compute_ms: Times,
@@ -89,6 +92,8 @@ pub struct Trial {
     pub robot_wakeups: f64,
     /// Bytes on the robot's uplink per request, in both directions.
     pub uplink_bytes: f64,
+    /// Whether the cable with faults lost only what it had to.
+    pub is_comparable: bool,
     /// What the robot says of its results: errors of the trajectory, or a digest of all replies.
     pub result: Value,
     pub stages: Vec<Stages>,
@@ -116,12 +121,12 @@ impl RunningWorkload {
         let robot = |at: &_| {
             let mut command = tools.workload(at, "robot.py", workload.name())?;
             command.args(["--count", &requests.count.to_string(), "--rate", &requests.rate.to_string()]);
-            command.arg("--gate").arg(&gate);
+            command.arg("--stay").arg("--gate").arg(&gate);
             Ok(command)
         };
         let mut robot = site.start_robot(robot, folder)?;
         robot.wait_event("matched", START).with_context(|| edge.report())?;
-        let before = Spent::of(site, &robot)?;
+        let before = Spent::of(site, &robot, &edge)?;
         std::fs::write(&gate, "").with_context(|| format!("cannot write {}", gate.display()))?;
         Ok(Self { robot, edge, workload, requests, before, since: Instant::now() })
     }
@@ -136,13 +141,25 @@ impl RunningWorkload {
         Exchange::join(&self.robot.json_lines(), &self.edge.json_lines())
     }
 
+    /// Waits for the robot's results. It looks seldom, since it reads all output each time.
+    fn wait_until_done(&mut self) -> Result<Value> {
+        const LOOK: Duration = Duration::from_millis(250);
+        let deadline = Instant::now() + self.limit();
+        loop {
+            wait::sleep(LOOK)?;
+            if let Some(done) = self.robot.json_lines().into_iter().find(|line| line["event"] == "done") {
+                return Ok(done);
+            }
+            self.robot.check_alive()?;
+            self.edge.check_alive()?;
+            ensure!(Instant::now() < deadline, "no end of the workload\n{}", self.robot.report());
+        }
+    }
+
     /// Waits until the robot has all its answers.
     pub fn finish(mut self, site: &Site) -> Result<Trial> {
-        let limit = self.limit();
-        let result = self.robot.wait_event("done", limit).with_context(|| self.edge.report())?;
-        let (after, seconds) = (Spent::of(site, &self.robot)?, self.since.elapsed().as_secs_f64());
-        self.edge.check_alive()?;
-        site.check_wire();
+        let result = self.wait_until_done()?;
+        let (after, seconds) = (Spent::of(site, &self.robot, &self.edge)?, self.since.elapsed().as_secs_f64());
         let exchanges = self.exchanges();
         let answered: Vec<&Exchange> = exchanges.iter().filter(|exchange| exchange.back.is_some()).collect();
         let times = |of: fn(&Exchange) -> Option<u64>| Times::of(answered.iter().filter_map(|it| of(it)));
@@ -155,9 +172,10 @@ impl RunningWorkload {
             compute_ms: times(|it| it.replied?.checked_sub(it.at_edge?)),
             to_robot_ms: times(|it| it.back?.checked_sub(it.replied?)),
             total_ms: times(|it| it.back?.checked_sub(it.sent?)),
-            robot_cpu_ms: each((after.cpu - self.before.cpu).as_secs_f64() * 1e3),
-            robot_wakeups: (after.wakeups - self.before.wakeups) as f64 / seconds,
-            uplink_bytes: each((after.uplink - self.before.uplink) as f64),
+            robot_cpu_ms: each(after.cpu.saturating_sub(self.before.cpu).as_secs_f64() * 1e3),
+            robot_wakeups: after.wakeups.saturating_sub(self.before.wakeups) as f64 / seconds,
+            uplink_bytes: each(after.uplink.saturating_sub(self.before.uplink) as f64),
+            is_comparable: site.check_wire(),
             result,
             stages: Stages::of(site, self.workload),
         })
@@ -165,17 +183,19 @@ impl RunningWorkload {
 }
 
 impl Trial {
-    /// Fails if a request was lost or changed.
-    pub fn check_complete(&self) -> Result<()> {
+    /// Fails if a request was lost or changed, or if the workload has found nothing.
+    pub fn check(&self, workload: Workload) -> Result<()> {
         ensure!(self.lost == 0, "{} of {} requests were lost", self.lost, self.requests);
         ensure!(self.damaged == 0, "{} of {} requests arrived changed", self.damaged, self.requests);
+        ensure!(workload.has_found(&self.result), "without a useful result: {}", workload.result(&self.result));
         Ok(())
     }
 }
 
 impl Spent {
-    fn of(site: &Site, robot: &Process) -> Result<Self> {
-        let processes = || [Some(robot), site.robot_proxy()].into_iter().flatten();
+    fn of(site: &Site, robot: &Process, edge: &Process) -> Result<Self> {
+        let computes = site.is_robot_only().then_some(edge);
+        let processes = || [Some(robot), computes, site.robot_proxy()].into_iter().flatten();
         let cpu = processes().map(Process::cpu).sum::<Result<Duration>>()?;
         let wakeups = processes().map(|process| Ok(process.wakeups()?.values().sum::<u64>())).sum::<Result<u64>>()?;
         Ok(Self { cpu, wakeups, uplink: site.uplink_bytes()? })
@@ -193,9 +213,13 @@ impl Exchange {
                 Some("request") => {
                     let exchange = all.entry(id).or_default();
                     exchange.sent = line["sent"].as_u64();
-                    exchange.digests[0] = text(&line["digest"]);
+                    exchange.request[0] = text(&line["digest"]);
                 }
-                Some("reply") => all.entry(id).or_default().back = line["received"].as_u64(),
+                Some("reply") => {
+                    let exchange = all.entry(id).or_default();
+                    exchange.back = line["received"].as_u64();
+                    exchange.reply[0] = text(&line["digest"]);
+                }
                 _ => (),
             }
         }
@@ -203,13 +227,14 @@ impl Exchange {
             let Some(exchange) = line["id"].as_i64().and_then(|id| all.get_mut(&id)) else { continue };
             exchange.at_edge = line["received"].as_u64();
             exchange.replied = line["replied"].as_u64();
-            exchange.digests[1] = text(&line["digest"]);
+            exchange.request[1] = text(&line["digest"]);
+            exchange.reply[1] = text(&line["reply_digest"]);
         }
         all.into_values().collect()
     }
 
     fn is_damaged(&self) -> bool {
-        matches!(&self.digests, [Some(sent), Some(received)] if sent != received)
+        [&self.request, &self.reply].iter().any(|it| matches!(it, [Some(here), Some(there)] if here != there))
     }
 }
 
@@ -222,16 +247,16 @@ impl Times {
     }
 }
 
-/// Returns the longest time that a request took to the edge, of those sent since then. A request
-/// that has not arrived counts with its age.
+/// Returns the longest time that a request took to the edge, of those that were under way then or
+/// sent later. A request that has not arrived counts with its age.
 pub fn slowest_since(exchanges: &[Exchange], since: u64) -> Result<Duration> {
     Ok(slowest(exchanges, since, monotonic()?))
 }
 
 fn slowest(exchanges: &[Exchange], since: u64, now: u64) -> Duration {
-    let recent = exchanges.iter().filter_map(|it| it.sent.filter(|sent| *sent >= since).map(|sent| (sent, it)));
-    let age = |(sent, it): (u64, &Exchange)| it.at_edge.unwrap_or(now).saturating_sub(sent);
-    Duration::from_nanos(recent.map(age).max().unwrap_or_default())
+    let recent = exchanges.iter().filter(|it| it.at_edge.is_none_or(|at| at >= since));
+    let age = |it: &Exchange| Some(it.at_edge.unwrap_or(now).saturating_sub(it.sent?));
+    Duration::from_nanos(recent.filter_map(age).max().unwrap_or_default())
 }
 
 /// Returns the time of the clock that stamps requests, in nanoseconds.

@@ -45,6 +45,20 @@ impl Workload {
         }
     }
 
+    /// Returns whether the robot reports a useful result: most frames tracked within 0.3 m, a path,
+    /// or a grasp.
+    pub fn has_found(self, result: &Value) -> bool {
+        let number = |key: &str| result[key].as_f64().unwrap_or(0.0);
+        match self {
+            Self::Slam => {
+                let is_near = result["ate_m"].as_f64().is_some_and(|error| error < 0.3);
+                is_near && number("tracked") >= 0.9 * number("frames")
+            }
+            Self::Motion => number("solved") > 0.0,
+            Self::Grasp | Self::GraspSmall => number("grasps") > 0.0,
+        }
+    }
+
     /// What the paper's system adds to ROS 2, in milliseconds for both directions (its Table I).
     pub fn paper_adds(self) -> f64 {
         match self {

@@ -33,7 +33,7 @@ pub const PLAIN_PORTS: std::ops::RangeInclusive<u16> = 7400 + 250 * PLAIN_DOMAIN
 
 /// Installs and builds what is missing.
 pub fn prepare(profile: Profile) -> Result<Tools> {
-    setup::ensure(Purpose::Eval)?;
+    setup::ensure(Purpose::FieldReport)?;
     build::executables(Executables::All, profile, Features::default())?;
     Ok(workspace::tools(profile))
 }

@@ -21,6 +21,8 @@ pub enum Purpose {
     Bench,
     /// Make the paper's evaluation again
     Eval,
+    /// Measure between own machines
+    FieldReport,
     /// Test setup and build on a clean Debian root
     Fresh,
     /// Run `.ci/run`
@@ -56,7 +58,9 @@ pub enum SetupPart {
     Ros2,
     /// Compile the bridge that `bench ros` measures against.
     Zenoh,
-    /// Run the workloads of the paper's evaluation.
+    /// Run the simplest workload of the evaluation.
+    Echo,
+    /// Run the others.
     Eval,
     /// Make a clean Debian root.
     Fresh,
@@ -65,8 +69,8 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Dds, Dpdk, Ebpf, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace,
-            Zenoh,
+            Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags,
+            Workspace, Zenoh,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -76,7 +80,8 @@ impl Purpose {
             Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
-            Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Eval],
+            Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
+            Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
                 Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Eval, Fresh,

@@ -271,17 +271,19 @@ pub const STEPS: &[SetupStep] = &[
         ..WHEELS
     },
     SetupStep {
+        part: SetupPart::Echo,
+        what: "Cyclone DDS and NumPy for Python",
+        why: "the programs of the evaluation, in an environment of their own",
+        wheels: &["cyclonedds==11.0.1", "numpy==2.4.6"],
+        environment: EVAL_ENVIRONMENT,
+        ..WHEELS
+    },
+    SetupStep {
         part: SetupPart::Eval,
-        what: "ORB-SLAM, OMPL, FCL, OpenCV and Cyclone DDS for Python",
-        why: "`eval table1` runs real workloads, in an environment of their own",
-        wheels: &[
-            "pyorbslam3==0.1.1",
-            "ompl==2.0.1",
-            "python-fcl==0.7.0.11",
-            "opencv-python-headless==5.0.0.93",
-            "numpy==2.4.6",
-            "cyclonedds==11.0.1",
-        ],
+        what: "ORB-SLAM, OMPL, FCL and OpenCV for Python",
+        why: "`eval table1` runs real workloads; ORB-SLAM's viewer is linked to X and OpenGL",
+        packages: &["python3-venv", "libegl1", "libgl1", "libice6", "libopengl0", "libsm6", "libx11-6", "libxext6"],
+        wheels: &["pyorbslam3==0.1.1", "ompl==2.0.1", "python-fcl==0.7.0.11", "opencv-python-headless==5.0.0.93"],
         environment: EVAL_ENVIRONMENT,
         ..WHEELS
     },
