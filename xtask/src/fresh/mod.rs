@@ -84,6 +84,7 @@ fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
         return root.remove();
     }
     stages.time("setup", || root.online(&cache, &["cargo", "xtask", "setup"]))?;
+    stages.time("workloads", || root.online(&cache, &["target/venv-eval/bin/python", "-c", WORKLOADS]))?;
     stages.time("setup again", || {
         let said = root.output(&cache, &["cargo", "xtask", "setup"])?;
         ensure!(said.starts_with("Nothing to do"), "the second setup is not done: {said}");
@@ -110,6 +111,9 @@ fn run_switch(root: &Root, cache: &Cache, site: &Site, options: &[&str], says: &
         said(switch).lines().any(|line| line.contains("ready: switch") && line.contains(says)).then_some(())
     })
 }
+
+/// Loads what the workloads of the evaluation load, with the libraries of the system.
+const WORKLOADS: &str = "import cv2, cyclonedds.domain, fcl, ompl.base, ompl.geometric, pyorbslam3";
 
 const INTERFACE: &str = "e0";
 
