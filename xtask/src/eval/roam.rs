@@ -3,6 +3,7 @@
 //! ends are behind NAT in either network.
 
 use std::collections::BTreeSet;
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -13,7 +14,7 @@ use gdp_tests::peers::{self, ON_LOOPBACK, Received};
 use gdp_tests::process::Process;
 use gdp_tests::programs::Program;
 use gdp_tests::topics::{FabricTopic, MASTER};
-use gdp_tests::wait;
+use gdp_tests::wait::{self, wait_for};
 use serde::Serialize;
 use serde_json::json;
 
@@ -40,6 +41,9 @@ pub struct Options {
 
 /// Commands per second.
 const COMMAND_RATE: f64 = 20.0;
+
+/// The port of the cloud's [`MASTER`].
+const MASTER_PORT: u16 = 11311;
 
 /// Time in each network.
 const STAY: Duration = Duration::from_secs(6);
@@ -146,8 +150,16 @@ impl Pilot {
             command.env("ROS_LOG_DIR", folder);
             Ok(command)
         };
-        let master =
-            Process::spawn("rosmaster", in_ros1(&[Program::Rosmaster.name(), "--core", "-p", "11311"])?, folder)?;
+        let master = Process::spawn(
+            "rosmaster",
+            in_ros1(&[Program::Rosmaster.name(), "--core", "-p", &MASTER_PORT.to_string()])?,
+            folder,
+        )?;
+        wait_for("the ROS 1 master", wait::TIMEOUT, || {
+            let _inside = federation.cloud.enter()?;
+            Ok(TcpStream::connect(("127.0.0.1", MASTER_PORT)).ok().map(drop))
+        })
+        .with_context(|| master.report())?;
         let peer = tools.tools.peer("rospy_topic.py");
         let mut talk = in_ros1(&[])?;
         talk.arg(peer).args(["talk", "--topic", COMMANDS.topic, "--rate", &COMMAND_RATE.to_string()]);
