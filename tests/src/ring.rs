@@ -24,7 +24,7 @@ use crate::tools::Tools;
 use crate::topics::{BothEnds, FabricTopic, ProxyPlan, ros2};
 use crate::wait::{TIMEOUT, wait_for};
 
-const SWITCHES: usize = 5;
+pub const SWITCHES: usize = 5;
 
 /// FIB capacity of each switch, in names: benchmarks use a million, and a few more.
 const FIB_CAPACITY: u32 = 1 << 21;

@@ -187,7 +187,7 @@ impl Cables {
     }
 
     /// Returns two hosts on one cable, over which DDS finds its peers by multicast.
-    fn network(&self) -> Result<Chain> {
+    pub fn network(&self) -> Result<Chain> {
         let chain = Chain::build(ChainOptions { switches: 0, wire: self.chain.wire.map(|_| 0), ..self.chain })?;
         chain.become_ip_routers()?;
         Ok(chain)

@@ -29,11 +29,7 @@ const TOTAL_SHARE: f64 = 0.05;
 pub fn of_table(rows: &[TableRow]) -> Vec<Bar> {
     let mut bars = Vec::new();
     for row in rows.iter().filter(|row| matches!(row.setup, Setup::Gdp | Setup::Domains)) {
-        let same = |setup| {
-            rows.iter().find(|other| {
-                (other.setup, other.of, other.links, other.round) == (setup, row.of, row.links, row.round)
-            })
-        };
+        let same = |setup| measured_with(rows, row, setup);
         let name = format!("{}, {} links, {}", row.of.describe(), row.links.name(), row.setup.describe());
         let mut bar = |is_met, what: String| bars.push(Bar { what: format!("{name}: {what}"), is_met });
         let Trial { lost, damaged, .. } = row.trial;
@@ -64,16 +60,19 @@ pub fn check(rows: &[TableRow]) -> Result<()> {
     for row in rows.iter().filter(|row| matches!(row.setup, Setup::Gdp | Setup::Domains)) {
         let name = || format!("{}, {}", row.of.describe(), row.setup.describe());
         row.trial.check(row.of).with_context(name)?;
-        let plain = rows.iter().find(|other| {
-            (other.setup, other.of, other.links, other.round) == (Setup::Routers, row.of, row.links, row.round)
-        });
         // A reply that is lost is missing in the digest.
-        let plain = plain.filter(|plain| plain.trial.lost == 0);
+        let plain = measured_with(rows, row, Setup::Routers).filter(|plain| plain.trial.lost == 0);
         if let (Some(reply), Some(plain)) = (digest(row), plain) {
             ensure!(Some(reply) == digest(plain), "{}: the results differ from those over routers", name());
         }
     }
     Ok(())
+}
+
+/// Returns the row of another setup for the same workload, links and round.
+fn measured_with<'a>(rows: &'a [TableRow], row: &TableRow, setup: Setup) -> Option<&'a TableRow> {
+    let key = |of: &TableRow| (of.of, of.links, of.round);
+    rows.iter().find(|other| other.setup == setup && key(other) == key(row))
 }
 
 /// Returns the medians of both directions, ours and theirs.

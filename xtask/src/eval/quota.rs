@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use gdp_tests::process::Process;
@@ -52,7 +53,7 @@ impl Drop for Quota {
             if fs::remove_dir(&self.0).is_ok() {
                 return;
             }
-            std::thread::sleep(std::time::Duration::from_millis(20));
+            std::thread::sleep(Duration::from_millis(20));
         }
         eprintln!("{} is left behind: `rmdir` removes it", self.0.display());
     }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::workspace;
 
@@ -33,4 +34,17 @@ impl RawRows {
     pub fn finish(self) {
         eprintln!("all rows: {}", self.path.display());
     }
+}
+
+/// Writes these rows and their summary to `NAME.jsonl`, and with `json` also to stdout.
+pub fn write_all(name: &str, rows: &[impl Serialize], summary: &Value, json: bool) -> Result<()> {
+    let mut raw = RawRows::create(name)?;
+    rows.iter().try_for_each(|row| raw.write(row))?;
+    raw.write(summary)?;
+    raw.finish();
+    if json {
+        rows.iter().try_for_each(|row| serde_json::to_string(row).map(|line| println!("{line}")))?;
+        println!("{summary}");
+    }
+    Ok(())
 }

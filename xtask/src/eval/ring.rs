@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 use gdp_faults::Random;
-use gdp_tests::ring::Ring;
+use gdp_tests::ring::{Ring, SWITCHES};
 use gdp_tests::wait;
 use serde::Serialize;
 use serde_json::json;
 
-use super::raw::RawRows;
+use super::raw;
 use super::site::{Network, Site};
 use super::tools::EvalTools;
 use super::trial::{Requests, RunningWorkload, monotonic, slowest_since};
@@ -53,6 +53,15 @@ impl RingFault {
     const ALL: [Self; 7] =
         [Self::Cut(0), Self::Cut(1), Self::Cut(2), Self::Cut(3), Self::Cut(4), Self::PowerLoss(1), Self::PowerLoss(3)];
 
+    /// Returns faults in an order that the seed decides. At least every other one is on the path
+    /// that traffic takes in a whole ring.
+    fn schedule(seed: u64, count: usize) -> Vec<Self> {
+        const ON_PATH: [RingFault; 3] = [RingFault::Cut(0), RingFault::Cut(1), RingFault::PowerLoss(1)];
+        let mut random = Random::new(seed);
+        let mut pick = |of: &[Self]| of[random.number() as usize % of.len()];
+        (0..count).map(|i| if i % 2 == 0 { pick(&ON_PATH) } else { pick(&Self::ALL) }).collect()
+    }
+
     fn begin(self, ring: &mut Ring) -> Result<()> {
         match self {
             Self::Cut(i) => ring.set_cable(i, false),
@@ -64,7 +73,7 @@ impl RingFault {
     fn is_avoided_by(self, path: &[usize]) -> bool {
         match self {
             Self::Cut(i) => {
-                let ends = [i, (i + 1) % Self::SWITCHES];
+                let ends = [i, (i + 1) % SWITCHES];
                 path.windows(2).all(|hop| hop.iter().any(|switch| !ends.contains(switch)))
             }
             Self::PowerLoss(i) => !path.contains(&i),
@@ -82,22 +91,9 @@ impl RingFault {
 impl fmt::Display for RingFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cut(i) => write!(f, "cable s{} to s{} cut", i + 1, (i + 1) % Self::SWITCHES + 1),
+            Self::Cut(i) => write!(f, "cable s{} to s{} cut", i + 1, (i + 1) % SWITCHES + 1),
             Self::PowerLoss(i) => write!(f, "s{} without power", i + 1),
         }
-    }
-}
-
-impl RingFault {
-    const SWITCHES: usize = 5;
-
-    /// Returns faults in an order that the seed decides. At least every other one is on the path
-    /// that traffic takes in a whole ring.
-    fn schedule(seed: u64, count: usize) -> Vec<Self> {
-        const ON_PATH: [RingFault; 3] = [RingFault::Cut(0), RingFault::Cut(1), RingFault::PowerLoss(1)];
-        let mut random = Random::new(seed);
-        let mut pick = |of: &[Self]| of[random.number() as usize % of.len()];
-        (0..count).map(|i| if i % 2 == 0 { pick(&ON_PATH) } else { pick(&Self::ALL) }).collect()
     }
 }
 
@@ -130,15 +126,9 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let trial = running.finish(&site)?;
     let repeated = frames_sent_again(&site);
-    let mut raw = RawRows::create("ring")?;
-    rows.iter().try_for_each(|row| raw.write(row))?;
     let summary = json!({"seed": options.seed, "frames_sent_again": repeated, "trial": trial});
-    raw.write(&summary)?;
-    raw.finish();
-    if options.json {
-        rows.iter().try_for_each(|row| serde_json::to_string(row).map(|line| println!("{line}")))?;
-        println!("{summary}");
-    } else {
+    raw::write_all("ring", &rows, &summary, options.json)?;
+    if !options.json {
         print(&rows);
         println!(
             "{} of {} images answered, {} damaged, {repeated} frames sent again; {}",

@@ -19,7 +19,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::links::LinkKind;
-use super::raw::RawRows;
+use super::raw;
 use super::site::{Network, Setup, Site};
 use super::tools::EvalTools;
 use super::trial::{Requests, RunningWorkload, Trial, monotonic, slowest_since};
@@ -94,15 +94,9 @@ pub fn run(options: &Options) -> Result<()> {
     let commands = pilot.finish()?;
     let expected = commands.last().map_or(0, |last| *last as usize + 1);
     let lost = expected - commands.len();
-    let mut raw = RawRows::create("roam")?;
-    rows.iter().try_for_each(|row| raw.write(row))?;
     let summary = json!({"commands": commands.len(), "commands_lost": lost, "trial": trial});
-    raw.write(&summary)?;
-    raw.finish();
-    if options.json {
-        rows.iter().try_for_each(|row| serde_json::to_string(row).map(|line| println!("{line}")))?;
-        println!("{summary}");
-    } else {
+    raw::write_all("roam", &rows, &summary, options.json)?;
+    if !options.json {
         print(&rows, &trial, commands.len(), lost);
     }
     ensure!(lost == 0, "{lost} commands were lost");

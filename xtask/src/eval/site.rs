@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result};
-use gdp_tests::chain::{Chain, ChainOptions};
+use gdp_tests::chain::Chain;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::federation::Federation;
 use gdp_tests::measure::cpu;
@@ -24,14 +24,18 @@ use super::quota::Quota;
 use super::tools::EvalTools;
 use crate::bench::paths::{Bridges, Cables, Security};
 
-/// The processor of the robot's programs, and that of the edge's.
-pub const ROBOT_CPU: usize = cpu::SENDER;
-pub const EDGE_CPU: usize = cpu::OTHER;
+/// The ends of a site, as indices.
+const ROBOT: usize = 0;
+const EDGE: usize = 1;
+
+/// Labels of the programs at the ends, and their processors.
+const LABELS: [&str; 2] = ["robot", "edge"];
+const CPUS: [usize; 2] = [cpu::SENDER, cpu::OTHER];
 
 /// The share of a processor that the robot has where it works alone. Two cores of 1.5 GHz, as in
 /// the paper's robot, stand to the edge's cores of 3 GHz as a half to one. The workloads keep
 /// little more than one core busy, so the number of cores is left out.
-pub const ROBOT_SHARE: f64 = 0.5;
+const ROBOT_SHARE: f64 = 0.5;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -103,11 +107,7 @@ impl Site {
                 host.enable_loopback_multicast()?;
                 Self { quota: Some(Quota::new(ROBOT_SHARE)?), ..site(Network::Host(host)) }
             }
-            Setup::Cable => {
-                let chain = Chain::build(ChainOptions { switches: 0, ..Default::default() })?;
-                chain.become_ip_routers()?;
-                site(Network::Chain(chain))
-            }
+            Setup::Cable => site(Network::Chain(cables.network()?)),
             Setup::Routers | Setup::Zenoh => {
                 let chain = cables.routers()?;
                 let wire = cables.disturb(&chain)?;
@@ -143,7 +143,7 @@ impl Site {
 
     /// Keeps the proxies or bridges of robot and edge on their processors.
     fn pinned(self) -> Result<Self> {
-        for (cpu, process) in [ROBOT_CPU, EDGE_CPU].into_iter().zip(self.between()) {
+        for (cpu, process) in CPUS.into_iter().zip(self.between()) {
             if let Some(process) = process {
                 cpu::keep_program(cpu, process.pid())?;
             }
@@ -164,34 +164,30 @@ impl Site {
 
     /// Starts the edge's program.
     pub fn start_edge(&self, command: impl FnOnce(&Namespace) -> Result<Command>, folder: &Path) -> Result<Process> {
-        self.start_program("edge", self.ends()[1], self.peers()[1].as_deref(), EDGE_CPU, command, folder)
+        self.start_program(EDGE, command, folder)
     }
 
     /// Starts the robot's program.
     pub fn start_robot(&self, command: impl FnOnce(&Namespace) -> Result<Command>, folder: &Path) -> Result<Process> {
-        self.start_program("robot", self.ends()[0], self.peers()[0].as_deref(), ROBOT_CPU, command, folder)
+        self.start_program(ROBOT, command, folder)
     }
 
     fn start_program(
         &self,
-        label: &str,
-        at: &Namespace,
-        peer: Option<&str>,
-        cpu: usize,
+        end: usize,
         command: impl FnOnce(&Namespace) -> Result<Command>,
         folder: &Path,
     ) -> Result<Process> {
-        let mut command = command(at)?;
-        command.env("CYCLONEDDS_URI", peer.map_or_else(|| ON_LOOPBACK.to_owned(), unicast));
-        let process = Process::spawn(label, command, folder)?;
-        match &self.quota {
-            // Both programs are on the robot.
-            Some(quota) => {
-                quota.add(&process)?;
-                cpu::keep_program(ROBOT_CPU, process.pid())?;
-            }
-            None => cpu::keep_program(cpu, process.pid())?,
+        let mut command = command(self.ends()[end])?;
+        let peer = self.peers()[end].as_deref().map(unicast);
+        command.env("CYCLONEDDS_URI", peer.unwrap_or_else(|| ON_LOOPBACK.to_owned()));
+        let process = Process::spawn(LABELS[end], command, folder)?;
+        if let Some(quota) = &self.quota {
+            quota.add(&process)?;
         }
+        // Alone, the robot runs both programs.
+        let computer = if self.is_robot_only() { ROBOT } else { end };
+        cpu::keep_program(CPUS[computer], process.pid())?;
         Ok(process)
     }
 
@@ -220,7 +216,7 @@ impl Site {
 
     /// Returns the robot's proxy or bridge.
     pub fn robot_proxy(&self) -> Option<&Process> {
-        self.between()[0]
+        self.between()[ROBOT]
     }
 
     /// Returns the latest statistics of the robot's proxy and of the edge's, if there are proxies.
@@ -256,7 +252,7 @@ impl Site {
         if self.is_robot_only() {
             return Ok(0);
         }
-        let _inside = self.ends()[0].enter()?;
+        let _inside = self.ends()[ROBOT].enter()?;
         let text = std::fs::read_to_string("/proc/thread-self/net/dev").context("cannot read the interfaces")?;
         Ok(text.lines().filter_map(interface_bytes).sum())
     }
