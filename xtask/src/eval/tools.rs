@@ -33,6 +33,8 @@ impl EvalTools {
         build::executables(Executables::All, profile, Features::default())?;
         let bridge = zenoh.then(peers::build_zenoh).transpose()?;
         let mut render = own(python());
+        // Stdout has the results.
+        render.stdout(std::io::stderr());
         shell::say_and_run(render.arg(program("prepare.py")).arg("--data").arg(data()))?;
         wait::catch_interrupts();
         netns::sweep()?;
