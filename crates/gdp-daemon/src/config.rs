@@ -21,7 +21,7 @@ use serde::{Deserialize, Deserializer};
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
-use crate::folders;
+use gdp_util::folders;
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;

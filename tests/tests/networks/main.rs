@@ -25,6 +25,7 @@ mod local_dds;
 mod logs;
 mod losses;
 mod malicious;
+mod onboarding;
 mod pairings;
 mod patient;
 mod planes;

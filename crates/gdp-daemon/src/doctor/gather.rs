@@ -12,7 +12,7 @@ use super::facts::{
     Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, UdpFacts, Wanted,
 };
 use crate::config::{Config, DataPlane};
-use crate::folders;
+use gdp_util::folders;
 use gdp_dataplane::capabilities::{self, Capability, SYS_ADMIN};
 use gdp_dataplane::device::Device;
 use gdp_dataplane::dpdk::DpdkConfig;
