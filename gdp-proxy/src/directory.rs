@@ -13,7 +13,7 @@ use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use crate::config::{ImportConfig, MemberReader, Pattern, Remap, Shared};
+use crate::config::{ImportConfig, MemberReader, Pattern, Remap, SharedTopics};
 use crate::material::{DirectoryMaterial, ImportMaterial};
 use crate::offload::run_blocking_if_large;
 use crate::permission::Permission;
@@ -27,7 +27,7 @@ pub type Members = Arc<[Member]>;
 /// What the members share, as it adds to the configuration.
 #[derive(Default)]
 pub struct SharedByDirectory {
-    pub exposed: Shared,
+    pub exposed: SharedTopics,
     pub imports: Vec<(ImportConfig, ImportMaterial)>,
 }
 

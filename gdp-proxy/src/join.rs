@@ -15,7 +15,7 @@ use gdp_core::domain::{Credentials, Token};
 use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 use gdp_core::name::Metadata;
 use gdp_core::{cert::Grantee, secret_file};
-use gdp_directory::messages::{Join, OfferedCatalog, Reply, Request};
+use gdp_directory::messages::{Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, join_card};
 use gdp_util::escape::escape_json;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
@@ -46,13 +46,13 @@ pub struct Joined {
 }
 
 /// Where the invitation comes from.
-pub enum Source {
+pub enum InvitationSource {
     Line(String),
     File(PathBuf),
     Stdin,
 }
 
-impl Source {
+impl InvitationSource {
     /// Reads the invitation. Errors contain nothing of it.
     pub fn read(self) -> Result<Token> {
         let mut line = String::new();
@@ -109,27 +109,31 @@ impl Home {
 
         let credentials = Credentials { membership, peers: Vec::new() };
         let link = LinkConfig { target: token.at().clone(), switch: token.switch(), budget: None };
-        let node = NodeConfig { links: vec![link], credentials: Some(credentials), ..NodeConfig::new(identity.clone(), token.at().clone()) };
+        let node = NodeConfig {
+            links: vec![link],
+            credentials: Some(credentials),
+            ..NodeConfig::new(identity.clone(), token.at().clone())
+        };
         let node = Node::connect(node).await.with_context(|| {
             format!("no way into the domain at {}; is its switch running, and UDP open on the way?", token.at())
         })?;
         let card = join_card(domain_key)?;
         let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
-        let reply = ask(&node, &card, call, &Request::Join(Box::new(request))).await;
+        let reply = ask(&node, &card, call, &JoinRequest::Join(Box::new(request))).await;
         node.close().await;
         match reply? {
-            Reply::Joined { directory, call } => {
+            JoinReply::Joined { directory, call } => {
                 write(&self.file("directory.grant"), &directory.to_pem())?;
                 write(&self.file("join.grant"), &call.to_pem())?;
             }
-            Reply::Refused(reason) => bail!("the domain does not let this machine join: {reason}"),
-            Reply::Left => bail!("the join service answers another question"),
+            JoinReply::Refused(reason) => bail!("the domain does not let this machine join: {reason}"),
+            JoinReply::Left => bail!("the join service answers another question"),
         }
         write(&self.file("domain.card"), &domain_card(domain_key)?.to_json())?;
         let config = configuration(token, &enrollment);
         Config::parse(&config, &self.config())?;
         write(&self.config(), &config)?;
-        Ok(Joined { lines: self.told(token, &identity, &enrollment), config: self.config() })
+        Ok(Joined { lines: self.summary(token, &identity, &enrollment), config: self.config() })
     }
 
     /// Leaves the domain: removes this machine from the directory and the files of its membership.
@@ -144,10 +148,10 @@ impl Home {
         let links = config.links.iter().map(LinkConfig::from).collect();
         let first = config.links.first().context("no link")?.to.clone();
         let node = NodeConfig { links, credentials: Some(credentials), ..NodeConfig::new(identity, first) };
-        let told = match Node::connect(node).await {
+        let notified = match Node::connect(node).await {
             Ok(node) => {
                 let card = join_card(*domain.owner_key())?;
-                let reply = ask(&node, &card, Issued::from_pem(&call)?, &Request::Leave).await;
+                let reply = ask(&node, &card, Issued::from_pem(&call)?, &JoinRequest::Leave).await;
                 node.close().await;
                 reply.map(|_| ())
             }
@@ -161,10 +165,10 @@ impl Home {
                 _ => {}
             }
         }
-        Ok(match told {
+        Ok(match notified {
             Ok(()) => vec!["Left. The domain's directory no longer lists this machine.".into()],
             Err(error) => vec![
-                "Left, and the files are removed. The domain was not told:".into(),
+                "Left, and the files are removed. The domain was not notified:".into(),
                 format!("  {error:#}"),
                 "Have its administrator revoke this machine by its label.".into(),
             ],
@@ -192,7 +196,8 @@ impl Home {
         let card = match NameCard::load(&path) {
             Ok(card) if *card.owner_key() == owner.verify_key() => card,
             _ => {
-                let card = NameCard::create(owner.verify_key(), "catalog", &format!("/{}", enrollment.label), "", None)?;
+                let card =
+                    NameCard::create(owner.verify_key(), "catalog", &format!("/{}", enrollment.label), "", None)?;
                 write(&path, &card.to_json())?;
                 card
             }
@@ -215,7 +220,7 @@ impl Home {
         Ok(Issued { cert, delegation: Some(delegation) })
     }
 
-    fn told(&self, token: &Token, identity: &Identity, enrollment: &Enrollment) -> Vec<String> {
+    fn summary(&self, token: &Token, identity: &Identity, enrollment: &Enrollment) -> Vec<String> {
         let Enrollment { label, expose, import, read, .. } = enrollment;
         let mut lines = vec![format!("Joined as {label} ({:#}) at {}", identity.name(), token.at())];
         if !expose.is_empty() {
@@ -254,11 +259,11 @@ fn domain_card(key: VerifyKey) -> Result<NameCard> {
 }
 
 /// Asks the join service, repeatedly until there is a route to it.
-async fn ask(node: &Node, card: &NameCard, call: Issued<ReadGrant>, request: &Request) -> Result<Reply> {
+async fn ask(node: &Node, card: &NameCard, call: Issued<ReadGrant>, request: &JoinRequest) -> Result<JoinReply> {
     let asked = async {
         let client = node.client(card.proof(), call.into()).await?;
         let reply = ask_client(&client, &request.to_bytes()?).await?;
-        anyhow::Ok(Reply::from_bytes(&reply)?)
+        anyhow::Ok(JoinReply::from_bytes(&reply)?)
     };
     match tokio::time::timeout(PATIENT, asked).await {
         Ok(reply) => reply.context("the domain's join service cannot be asked"),

@@ -11,7 +11,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use gdp_proxy::config::schema;
-use gdp_proxy::join::{Home, Source};
+use gdp_proxy::join::{Home, InvitationSource};
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
@@ -136,15 +136,15 @@ fn join(home: &Home, line: Option<String>, file: Option<PathBuf>) -> Result<()> 
     let source = match (line, file, std::env::var("GDP_INVITATION")) {
         (Some(line), ..) if line != "-" => {
             terminal::note("gdp-proxy: warning: other users of this machine can read the invitation in its arguments");
-            Source::Line(line)
+            InvitationSource::Line(line)
         }
-        (_, Some(file), _) => Source::File(file),
-        (None, None, Ok(line)) => Source::Line(line),
+        (_, Some(file), _) => InvitationSource::File(file),
+        (None, None, Ok(line)) => InvitationSource::Line(line),
         _ => {
             if std::io::stdin().is_terminal() {
                 terminal::note("Paste the invitation, then press Enter:");
             }
-            Source::Stdin
+            InvitationSource::Stdin
         }
     };
     let joined = once()?.block_on(home.join(&source.read()?))?;

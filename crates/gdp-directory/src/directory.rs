@@ -22,13 +22,13 @@ const VERSION: u8 = 1;
 #[serde(deny_unknown_fields)]
 pub struct Directory {
     version: u8,
-    pub entries: Vec<Entry>,
+    pub entries: Vec<MemberEntry>,
 }
 
 /// One member of the directory.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Entry {
+pub struct MemberEntry {
     pub membership: Membership,
     pub enrollment: Signed<Enrollment>,
     /// The name of the member's catalog, if it exposes anything.
@@ -79,7 +79,7 @@ pub enum DirectoryError {
 }
 
 impl Directory {
-    pub fn new(entries: Vec<Entry>) -> Self {
+    pub fn new(entries: Vec<MemberEntry>) -> Self {
         Self { version: VERSION, entries }
     }
 
@@ -111,7 +111,7 @@ impl Directory {
     }
 }
 
-impl Entry {
+impl MemberEntry {
     fn member(&self, domain: Name, reader: Name, now: u64) -> Option<Member> {
         let (entity, enrollment) = self.enrollment.verify_for(domain, &self.membership, now).ok()?;
         let catalog = self.catalog.as_ref().and_then(|catalog| catalog.card().ok());

@@ -13,7 +13,7 @@ const MAX_MESSAGE: usize = 64 << 10;
 /// A request of an entity to the join service of its domain. The fabric proves who calls.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Request {
+pub enum JoinRequest {
     /// Enters the caller in the directory, or replaces its entry.
     Join(Box<Join>),
     /// Removes the caller from the directory.
@@ -42,15 +42,18 @@ pub struct OfferedCatalog {
 /// The reply of the join service.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Reply {
+pub enum JoinReply {
     /// The caller is in the directory and may read it.
-    Joined { directory: Box<Issued<ReadGrant>>, call: Box<Issued<ReadGrant>> },
+    Joined {
+        directory: Box<Issued<ReadGrant>>,
+        call: Box<Issued<ReadGrant>>,
+    },
     Left,
     /// The reason of a refusal, for people.
     Refused(String),
 }
 
-impl Request {
+impl JoinRequest {
     pub fn to_bytes(&self) -> Result<Vec<u8>, CborError> {
         cbor::encode(self)
     }
@@ -60,7 +63,7 @@ impl Request {
     }
 }
 
-impl Reply {
+impl JoinReply {
     pub fn to_bytes(&self) -> Result<Vec<u8>, CborError> {
         cbor::encode(self)
     }

@@ -14,9 +14,9 @@ use gdp_core::identity::SigningKey;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use crate::directory::{Directory, Entry, MAX_DIRECTORY, MAX_MEMBERS, Member};
+use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, Member, MemberEntry};
 use crate::entity;
-use crate::messages::{Join, OfferedCatalog, Reply, Request};
+use crate::messages::{Join, JoinReply, JoinRequest, OfferedCatalog};
 
 /// Validity in seconds of the grants for catalogs. They are issued again after half of it.
 const GRANT_LIFETIME: u64 = 24 * 3600;
@@ -63,7 +63,7 @@ struct IssuedGrant {
 
 /// A row of the directory, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Row {
+pub struct MemberRow {
     pub entity: Name,
     pub enrollment: Enrollment,
     pub catalog: Option<Name>,
@@ -112,18 +112,18 @@ impl JoinService {
 
     /// Answers a request of `caller` at `now` (Unix nanoseconds). The caller of this function
     /// stores and publishes the directory before it sends a reply other than a refusal.
-    pub fn answer(&mut self, caller: Name, request: Request, now: u64) -> Reply {
+    pub fn answer(&mut self, caller: Name, request: JoinRequest, now: u64) -> JoinReply {
         let answered = match request {
-            Request::Join(join) => self.join(caller, *join, now),
-            Request::Leave => {
+            JoinRequest::Join(join) => self.join(caller, *join, now),
+            JoinRequest::Leave => {
                 self.members.remove(&caller);
-                return Reply::Left;
+                return JoinReply::Left;
             }
         };
-        answered.unwrap_or_else(Reply::Refused)
+        answered.unwrap_or_else(JoinReply::Refused)
     }
 
-    fn join(&mut self, caller: Name, join: Join, now: u64) -> Result<Reply, String> {
+    fn join(&mut self, caller: Name, join: Join, now: u64) -> Result<JoinReply, String> {
         let Join { membership, mut enrollment, catalog } = join;
         let said = |error: CertError| error.to_string();
         let (_, invited) = enrollment.verify_for(self.domain, &membership, now / 1_000_000_000).map_err(said)?;
@@ -159,7 +159,7 @@ impl JoinService {
         let until = claims.not_after;
         let directory = self.grant(&self.delegations.directory, caller, until, now).map_err(said)?.into();
         let call = self.grant(&self.delegations.join, caller, until, now).map_err(said)?.into();
-        Ok(Reply::Joined { directory, call })
+        Ok(JoinReply::Joined { directory, call })
     }
 
     /// Makes the directory at `now` (Unix nanoseconds), without expired members. Grants for
@@ -169,7 +169,7 @@ impl JoinService {
         let mut grants = std::mem::take(&mut self.grants);
         let (mut kept, mut entries) = (BTreeMap::new(), Vec::new());
         for (member, enrolled) in &members {
-            let mut entry = Entry {
+            let mut entry = MemberEntry {
                 membership: enrolled.membership.clone(),
                 enrollment: enrolled.enrollment.clone(),
                 catalog: enrolled.catalog.as_ref().map(|catalog| catalog.name.clone()),
@@ -179,9 +179,8 @@ impl JoinService {
                 entries.push(entry);
                 continue;
             };
-            let is_reader = |reader: &&Member| {
-                reader.entity != member.entity && !member.readable_by(&reader.enrollment).is_empty()
-            };
+            let is_reader =
+                |reader: &&Member| reader.entity != member.entity && !member.readable_by(&reader.enrollment).is_empty();
             for reader in members.iter().map(|(reader, _)| reader).filter(is_reader) {
                 let key = (catalog.name(), reader.entity);
                 let known = grants.remove(&key).filter(|grant| !grant.is_old(now));
@@ -203,8 +202,8 @@ impl JoinService {
     }
 
     /// Returns the members whose certificates hold at `now` (Unix seconds).
-    pub fn rows(&self, now: u64) -> Vec<Row> {
-        let row = |(Member { entity, enrollment, catalog, .. }, _)| Row {
+    pub fn rows(&self, now: u64) -> Vec<MemberRow> {
+        let row = |(Member { entity, enrollment, catalog, .. }, _)| MemberRow {
             entity,
             enrollment,
             catalog: catalog.map(|card| card.name()),

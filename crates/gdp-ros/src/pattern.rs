@@ -3,8 +3,9 @@
 /// Maximum length of a pattern in bytes.
 const MAX_PATTERN: usize = 253;
 
-/// Checks that a text is a pattern: a name with a leading slash, where `*` stands for any characters
-/// within a segment, and a segment `**` for any number of segments. The error is for people.
+/// Checks that a text is a pattern: a name with a leading slash, where `*` stands for any
+/// characters within a segment, and a segment `**` for any number of segments. The error is for
+/// people.
 pub fn check(text: &str) -> Result<(), String> {
     let good = |segment: &str| {
         segment == "**" || !segment.is_empty() && !segment.contains("**") && segment.chars().all(is_part)

@@ -80,8 +80,8 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Start a domain on this machine: switch, RIB, join service and proxy. Creates what is missing.
-    #[command(after_help = "Runs until ^C. Run it again to go on with the same domain.")]
+    /// Start a domain on this machine: switch, RIB, join service and proxy.
+    #[command(after_help = "Creates what is missing, and runs until ^C. Run it again to go on with the same domain.")]
     Up(home::UpOptions),
     /// Print a line with which a robot, server or laptop joins the domain (`gdp-proxy join`).
     Invite(home::InviteOptions),

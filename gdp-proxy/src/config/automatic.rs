@@ -71,12 +71,12 @@ pub struct ExposeConfig {
     pub defaults: RuleOptions,
     /// What the domain's directory adds.
     #[serde(skip)]
-    pub shared: Shared,
+    pub shared: SharedTopics,
 }
 
 /// Topics that the directory of the domain lets members read.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Shared {
+pub struct SharedTopics {
     /// Patterns of the topics that members import under their own names.
     pub exports: Vec<Pattern>,
     pub readers: Vec<MemberReader>,
@@ -302,7 +302,13 @@ impl ExposeConfig {
     /// Checks the section. Errors come with the key inside `expose`. With a directory, it may name
     /// nothing, because the members import by the directory.
     pub(super) fn check(&self, graphs: &Graphs, has_directory: bool) -> Result<(), (&'static str, String)> {
-        check_patterns(has_directory || !self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)?;
+        check_patterns(
+            has_directory || !self.topics.is_empty(),
+            &self.services,
+            &self.actions,
+            self.graph.as_deref(),
+            graphs,
+        )?;
         if self.readers.len() > MAX_GRANTS {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }

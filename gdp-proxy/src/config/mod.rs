@@ -33,7 +33,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::action_topic::{action_of_topic, action_type};
-pub use self::automatic::{ExposeConfig, ImportConfig, MemberReader, ReaderConfig, Remap, Rule, RuleOptions, Shared, remapped};
+pub use self::automatic::{
+    ExposeConfig, ImportConfig, MemberReader, ReaderConfig, Remap, Rule, RuleOptions, SharedTopics, remapped,
+};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config, ZenohConfig};
@@ -283,7 +285,10 @@ impl Config {
         }
         if let Some(directory) = &self.directory {
             if self.domain.is_none() {
-                return Err(("directory".into(), "there is no domain for it; say which in domain, or remove it".into()));
+                return Err((
+                    "directory".into(),
+                    "there is no domain for it; say which in domain, or remove it".into(),
+                ));
             }
             self.graphs.get(directory.graph.as_deref()).map_err(|reason| ("directory.graph".into(), reason))?;
         }
@@ -300,7 +305,9 @@ impl Config {
             }
         }
         if let Some(expose) = &self.expose {
-            expose.check(&self.graphs, self.directory.is_some()).map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
+            expose
+                .check(&self.graphs, self.directory.is_some())
+                .map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
             if expose.duplicates() {
                 self.check_second_link().map_err(|reason| ("expose".into(), reason))?;
             }

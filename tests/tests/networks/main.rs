@@ -9,6 +9,7 @@ mod dpdk;
 mod ecn;
 mod end_to_end;
 mod evil;
+mod fleet;
 mod flows;
 mod generated;
 mod harness;

@@ -1,9 +1,9 @@
-//! Two people: one starts a server and invites a robot, the other joins with the printed line. The
-//! robot is behind NAT.
+//! Two people: one starts a server and invites a robot, the other joins with the printed line.
+//! Robot and laptop are behind NAT, so their ROS graphs and the server's do not meet by multicast.
 //!
 //! ```text
-//!   robot:w0 ──── i0:nat:o0 ──── e0:server        alice:e0 ──── a0:server
-//!   192.168.5.7        10.9.0.2   10.9.0.1        10.9.1.7       10.9.1.1
+//!   robot:w0 ──── i0:nat:o0 ──── e0:server:a0 ──── o0:nat:i0 ──── w0:alice
+//!   192.168.5.7     10.9.0.2     10.9.0.1          10.9.1.2       192.168.5.7
 //! ```
 
 use std::process::{Command, Stdio};
@@ -25,9 +25,9 @@ fn a_robot_joins_in_two_commands_each_and_both_directions_flow() -> Result<()> {
     let line = scene.invite("robot7", &["--expose", "/chatter,/camera/**", "--import", "/cmd_vel"])?;
     let joined = Instant::now();
     scene.join("robot7", &line)?;
-    assert_eq!((scene.at_server, scene.at_robots), (2, 1), "commands: up, invite; join");
+    assert_eq!((scene.at_server, scene.at_members), (2, 1), "commands: up, invite; join");
 
-    let robot = scene.robot.namespace();
+    let robot = &scene.robot.inside;
     let _talker = scene.talk(robot, "rt/chatter", 64, 20.0)?;
     let mut hears = scene.listen(&scene.server, "rt/robot7/chatter")?;
     first(&mut hears)?;
@@ -56,11 +56,11 @@ fn a_member_is_revoked_by_its_label_and_its_line_is_worth_nothing() -> Result<()
     let refused = scene.ctl(&["invite", "robot7", "--expose", "/chatter"]);
     ensure!(refused.unwrap_err().to_string().contains("gdp-ctl revoke robot7"), "a label names one member");
     scene.join("robot7", &line)?;
-    let _talker = scene.talk(scene.robot.namespace(), "rt/chatter", 64, 20.0)?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
     let mut hears = scene.listen(&scene.server, "rt/robot7/chatter")?;
     first(&mut hears)?;
 
-    let stolen = scene.try_join("thief", &line, &scene.alice)?;
+    let stolen = scene.try_join("thief", &line, &scene.alice.inside)?;
     ensure!(stolen.contains("has admitted") || stolen.contains("admits one"), "a used line: {stolen}");
 
     scene.ctl(&["revoke", "robot7"])?;
@@ -92,24 +92,27 @@ fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
     scene.join("robot7", &line)?;
     let line = scene.invite("alice", &["--read", "robot7:/camera/**", "--for", "7d"])?;
     scene.join("alice", &line)?;
-    let robot = scene.robot.namespace();
+    let robot = &scene.robot.inside;
     let _chatter = scene.talk(robot, "rt/chatter", 64, 20.0)?;
     let _camera = scene.talk(robot, "rt/camera/image", 900_000, 15.0)?;
-    let chatter = scene.listen(&scene.alice, "rt/robot7/chatter")?;
-    first(&mut scene.listen(&scene.alice, "rt/robot7/camera/image")?)?;
+    let chatter = scene.listen(&scene.alice.inside, "rt/robot7/chatter")?;
+    first(&mut scene.listen(&scene.alice.inside, "rt/robot7/camera/image")?)?;
     std::thread::sleep(Duration::from_secs(2));
     ensure!(!has_message(&chatter), "alice may read the camera only");
 
     let mut alice = scene.members.pop().context("alice's proxy")?;
     alice.stop(TIMEOUT)?;
-    let mut command = scene.alice.command(scene.tools.gdp_proxy()?)?;
+    let mut command = scene.alice.inside.command(scene.tools.gdp_proxy()?)?;
     let left = execute(command.args(["leave", "--dir"]).arg(scene.files.path().join("alice")))?;
     ensure!(left.contains("no longer lists"), "{left}");
     ensure!(!scene.files.path().join("alice/membership").exists(), "its files are gone");
     let rows = scene.robots()?;
-    ensure!(rows["members"].as_array().is_some_and(|rows| rows.iter().all(|row| {
-        row["label"] != "alice" || row["entity"].is_null()
-    })), "{rows}");
+    ensure!(
+        rows["members"]
+            .as_array()
+            .is_some_and(|rows| rows.iter().all(|row| { row["label"] != "alice" || row["entity"].is_null() })),
+        "{rows}"
+    );
     Ok(())
 }
 
@@ -119,7 +122,7 @@ fn a_server_that_starts_again_goes_on_with_its_members() -> Result<()> {
     scene.up()?;
     let line = scene.invite("robot7", &["--expose", "/chatter"])?;
     scene.join("robot7", &line)?;
-    let _talker = scene.talk(scene.robot.namespace(), "rt/chatter", 64, 20.0)?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
     first(&mut scene.listen(&scene.server, "rt/robot7/chatter")?)?;
     scene.up.take().context("the server")?.stop(TIMEOUT)?;
     scene.up()?;
@@ -133,52 +136,52 @@ struct Scene {
     up: Option<Process>,
     members: Vec<Process>,
     server: Namespace,
-    robot: Robot,
-    alice: Namespace,
+    robot: BehindNat,
+    alice: BehindNat,
     tools: Tools,
     /// Commands that the people have typed.
     at_server: usize,
-    at_robots: usize,
+    at_members: usize,
     files: tempfile::TempDir,
 }
 
-/// A robot behind NAT.
-struct Robot {
+/// A machine behind NAT.
+struct BehindNat {
     inside: Namespace,
     _nat: Namespace,
 }
 
-impl Robot {
-    fn namespace(&self) -> &Namespace {
-        &self.inside
+impl BehindNat {
+    /// Connects a machine to the server's interface, over the network `10.9.NET.0/24`.
+    fn new(label: &str, server: &Namespace, interface: &str, net: u8) -> Result<Self> {
+        let (inside, nat) = (Namespace::create(label)?, Namespace::create("nat")?);
+        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, net, number] };
+        veth(&end(&inside, "w0", 1), &end(&nat, "i0", 2), 1500)?;
+        veth(&end(&nat, "o0", 3), &end(server, interface, 4), 1500)?;
+        for (side, command) in [
+            (&inside, "addr add 192.168.5.7/24 dev w0".to_owned()),
+            (&nat, "addr add 192.168.5.1/24 dev i0".to_owned()),
+            (&nat, format!("addr add 10.9.{net}.2/24 dev o0")),
+            (&nat, format!("route add default via 10.9.{net}.1")),
+            (server, format!("addr add 10.9.{net}.1/24 dev {interface}")),
+            (&inside, "route add default via 192.168.5.1".to_owned()),
+        ] {
+            side.ip(&command.split(' ').collect::<Vec<_>>())?;
+        }
+        nat.masquerade("i0")?;
+        inside.enable_loopback_multicast()?;
+        Ok(Self { inside, _nat: nat })
     }
 }
 
 impl Scene {
     fn build() -> Result<Self> {
-        let [server, robot, nat, alice] = ["server", "robot", "nat", "alice"].map(Namespace::create);
-        let (server, robot, nat, alice) = (server?, robot?, nat?, alice?);
-        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 9, number] };
-        veth(&end(&robot, "w0", 1), &end(&nat, "i0", 2), 1500)?;
-        veth(&end(&nat, "o0", 3), &end(&server, "e0", 4), 1500)?;
-        veth(&end(&alice, "e0", 5), &end(&server, "a0", 6), 1500)?;
-        for (side, command) in [
-            (&robot, "addr add 192.168.5.7/24 dev w0"),
-            (&nat, "addr add 192.168.5.1/24 dev i0"),
-            (&nat, "addr add 10.9.0.2/24 dev o0"),
-            (&server, "addr add 10.9.0.1/24 dev e0"),
-            (&server, "addr add 10.9.1.1/24 dev a0"),
-            (&alice, "addr add 10.9.1.7/24 dev e0"),
-            (&robot, "route add default via 192.168.5.1"),
-            (&alice, "route add default via 10.9.1.1"),
-        ] {
-            side.ip(&command.split(' ').collect::<Vec<_>>())?;
-        }
-        nat.masquerade("i0")?;
-        [&server, &robot, &alice].into_iter().try_for_each(|side| side.enable_loopback_multicast())?;
+        let server = Namespace::create("server")?;
+        server.enable_loopback_multicast()?;
+        let robot = BehindNat::new("robot", &server, "e0", 0)?;
+        let alice = BehindNat::new("alice", &server, "a0", 1)?;
         let (tools, files) = (Tools::beside_this_test()?, tempfile::tempdir()?);
-        let robot = Robot { inside: robot, _nat: nat };
-        Ok(Self { up: None, members: vec![], server, robot, alice, tools, at_server: 0, at_robots: 0, files })
+        Ok(Self { up: None, members: vec![], server, robot, alice, tools, at_server: 0, at_members: 0, files })
     }
 
     /// Returns a command of the administrator, on the server.
@@ -209,8 +212,8 @@ impl Scene {
 
     /// Joins on the machine of this label, and leaves the proxy running there.
     fn join(&mut self, label: &str, line: &str) -> Result<()> {
-        self.at_robots += 1;
-        let at = if label == "alice" { &self.alice } else { self.robot.namespace() };
+        self.at_members += 1;
+        let at = if label == "alice" { &self.alice.inside } else { &self.robot.inside };
         let mut member = Process::spawn(label, self.join_command(label, line, at)?, self.files.path())?;
         member.wait_until("the membership", TIMEOUT, |member| member.stdout().contains("Leave").then_some(()))?;
         self.members.push(member);

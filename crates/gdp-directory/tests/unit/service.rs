@@ -71,7 +71,8 @@ impl Domain {
         let name = join_card(self.identity.key().verify_key()).unwrap().name();
         let call = Delegation { name, delegate: key, publish: false, read: true, serial, not_before, not_after };
         let signer = self.identity.key();
-        let enrolling = Enrolling { enrollment: issue(signer, &enrollment).unwrap(), call: issue(signer, &call).unwrap() };
+        let enrolling =
+            Enrolling { enrollment: issue(signer, &enrollment).unwrap(), call: issue(signer, &call).unwrap() };
         let at = "udp://192.0.2.1:31415".parse().unwrap();
         let token = Token::new(self.identity.proof(), issue(signer, &invite).unwrap(), invited, at, None).unwrap();
         let line = token.enroll(enrolling).unwrap().to_line();
@@ -90,7 +91,8 @@ impl Domain {
             not_before: NOW - 60,
             not_after: NOW + 1_000_000,
         };
-        let catalog = OfferedCatalog { name: CatalogName::from(&card), delegation: issue(&owner, &delegation).unwrap() };
+        let catalog =
+            OfferedCatalog { name: CatalogName::from(&card), delegation: issue(&owner, &delegation).unwrap() };
         let request = Join {
             membership: token.admit(entity, NOW - 60, NANOS + 1000).unwrap(),
             enrollment: token.enrolling().unwrap().enrollment.clone(),
@@ -99,8 +101,8 @@ impl Domain {
         Machine { entity, request }
     }
 
-    fn join(&mut self, machine: &Machine) -> Reply {
-        self.service.answer(machine.entity, Request::Join(machine.request.clone().into()), NANOS)
+    fn join(&mut self, machine: &Machine) -> JoinReply {
+        self.service.answer(machine.entity, JoinRequest::Join(machine.request.clone().into()), NANOS)
     }
 
     fn members(&mut self, reader: Name) -> Vec<Member> {
@@ -118,9 +120,9 @@ fn from_server() -> Vec<TopicsOf> {
 }
 
 #[track_caller]
-fn refused(reply: Reply, why: &str) {
+fn refused(reply: JoinReply, why: &str) {
     match reply {
-        Reply::Refused(reason) => assert!(reason.contains(why), "{reason}"),
+        JoinReply::Refused(reason) => assert!(reason.contains(why), "{reason}"),
         other => panic!("{other:?}"),
     }
 }
@@ -131,7 +133,7 @@ fn members_read_what_the_domain_enrolled_them_for() {
     let (server, robot) = (home.invite("server", vec![], all()), home.invite("robot7", from_server(), vec![]));
     let (server, robot) = (home.machine(&server), home.machine(&robot));
     for machine in [&server, &robot] {
-        let Reply::Joined { directory, call } = home.join(machine) else { panic!("refused") };
+        let JoinReply::Joined { directory, call } = home.join(machine) else { panic!("refused") };
         let domain = home.identity.key().verify_key();
         for (grant, card) in [(directory, directory_card(domain)), (call, join_card(domain))] {
             let grant = grant.verify(&card.unwrap().proof(), None, NOW).unwrap();
@@ -156,8 +158,8 @@ fn an_invitation_enrolls_one_and_only_its_holder() {
     let mut home = Domain::new();
     let token = home.invite("robot7", vec![], vec![]);
     let (first, second) = (home.machine(&token), home.machine(&token));
-    assert!(matches!(home.join(&first), Reply::Joined { .. }));
-    assert!(matches!(home.join(&first), Reply::Joined { .. }), "again, after an attempt that broke off");
+    assert!(matches!(home.join(&first), JoinReply::Joined { .. }));
+    assert!(matches!(home.join(&first), JoinReply::Joined { .. }), "again, after an attempt that broke off");
     refused(home.join(&second), "it enrolls one");
 
     let thief = Machine { entity: second.entity, request: first.request.clone() };
@@ -178,14 +180,14 @@ fn who_is_revoked_or_leaves_is_not_listed() {
     let tokens = ["one", "two", "three"].map(|label| home.invite(label, vec![], vec![]));
     let machines = tokens.map(|token| home.machine(&token));
     for machine in &machines {
-        assert!(matches!(home.join(machine), Reply::Joined { .. }));
+        assert!(matches!(home.join(machine), JoinReply::Joined { .. }));
     }
     let revoked = machines[0].request.membership.serial_unverified().unwrap();
     let revocation = Revocation { name: home.identity.name(), number: 1, floor: 0, revoked: vec![revoked] };
     assert!(home.service.revoke(revocation.clone()));
     assert!(!home.service.revoke(revocation));
     refused(home.join(&machines[0]), "revo");
-    assert_eq!(home.service.answer(machines[1].entity, Request::Leave, NANOS), Reply::Left);
+    assert_eq!(home.service.answer(machines[1].entity, JoinRequest::Leave, NANOS), JoinReply::Left);
     let labels: Vec<_> = home.service.rows(NOW).into_iter().map(|row| row.enrollment.label).collect();
     assert_eq!(labels, ["three"]);
     assert!(home.service.rows(NOW + 2_000_000).is_empty(), "all have expired");
@@ -198,7 +200,7 @@ fn a_catalog_that_is_not_delegated_is_refused() {
     let mut machine = home.machine(&token);
     let other = home.machine(&token);
     machine.request.catalog.as_mut().unwrap().delegation = other.request.catalog.unwrap().delegation;
-    assert!(matches!(home.join(&machine), Reply::Refused(_)));
+    assert!(matches!(home.join(&machine), JoinReply::Refused(_)));
 }
 
 #[test]
@@ -224,14 +226,14 @@ fn the_domain_may_enroll_a_member_for_other_topics() {
     let mut home = Domain::new();
     let (joined, later) = (home.invite("robot7", vec![], vec![]), home.invite("robot8", vec![], vec![]));
     let (joined, later) = (home.machine(&joined), home.machine(&later));
-    assert!(matches!(home.join(&joined), Reply::Joined { .. }));
+    assert!(matches!(home.join(&joined), JoinReply::Joined { .. }));
     for machine in [&joined, &later] {
         let claims = machine.request.enrollment.claims_unverified().unwrap();
         let claims = Enrollment { serial: claims.serial + 100, expose: vec!["/odom".into()], ..claims };
         let is_member = home.service.enroll(issue(home.identity.key(), &claims).unwrap());
         assert_eq!(is_member, machine.entity == joined.entity);
     }
-    assert!(matches!(home.join(&later), Reply::Joined { .. }), "with the invitation as it was");
+    assert!(matches!(home.join(&later), JoinReply::Joined { .. }), "with the invitation as it was");
     assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));
     assert!(!home.service.enroll(joined.request.enrollment.clone()), "an older one");
     assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));

@@ -102,7 +102,7 @@ fn backup(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     let count = files.len();
     let bytes = cbor::encode(&Backup { version: VERSION, files })?;
     secret_file::replace(file, &bytes)?;
-    told(file, home, count, "saved in", context)
+    print_backup(file, home, count, "saved in", context)
 }
 
 fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
@@ -114,7 +114,8 @@ fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     if backup.version != VERSION {
         bail!("{}: a backup of version {}, which this release does not know", file.display(), backup.version);
     }
-    let is_inside = |path: &str| Path::new(path).components().all(|part| matches!(part, std::path::Component::Normal(_)));
+    let is_inside =
+        |path: &str| Path::new(path).components().all(|part| matches!(part, std::path::Component::Normal(_)));
     if let Some(path) = backup.files.keys().find(|path| !is_inside(path)) {
         bail!("{}: the backup has a file outside of its folder: {path}", file.display());
     }
@@ -125,12 +126,14 @@ fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
         secret_file::replace(&path, content)?;
     }
     home.record("restore", "", &[])?;
-    told(file, home, backup.files.len(), "restored from", context)
+    print_backup(file, home, backup.files.len(), "restored from", context)
 }
 
-fn told(file: &Path, home: &Home, files: usize, verb: &str, context: &Context) -> anyhow::Result<()> {
+fn print_backup(file: &Path, home: &Home, files: usize, verb: &str, context: &Context) -> anyhow::Result<()> {
     let output = BackupOutput { file: file.into(), folder: home.folder().into(), files };
-    context.output.print(&output, || [format!("{files} files of {} {verb} {}", home.folder().display(), file.display())])
+    context
+        .output
+        .print(&output, || [format!("{files} files of {} {verb} {}", home.folder().display(), file.display())])
 }
 
 fn gather(root: &Path, folder: &Path, files: &mut BTreeMap<String, Content>) -> anyhow::Result<()> {
@@ -153,7 +156,9 @@ fn log(home: &Home, context: &Context) -> anyhow::Result<()> {
     let mut text = String::new();
     match fs::File::open(&path) {
         Ok(file) => file.take(MAX_LOG).read_to_string(&mut text).with_context(|| path.display().to_string())?,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => bail!("nothing was issued in {}", home.folder().display()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            bail!("nothing was issued in {}", home.folder().display())
+        }
         Err(error) => return Err(error).with_context(|| path.display().to_string()),
     };
     for line in text.lines() {

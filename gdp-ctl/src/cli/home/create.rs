@@ -13,7 +13,7 @@ use gdp_util::escape::escape_json;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
-use super::{DAY, Home, Place};
+use super::{DAY, DomainAddress, Home};
 use crate::cli::domain::{Issue, To, create_domain};
 use crate::cli::issuing::validity;
 
@@ -21,7 +21,7 @@ use crate::cli::issuing::validity;
 const LIFETIME: u64 = 365 * DAY;
 
 /// The choices of `gdp-ctl up`.
-pub struct Wanted<'a> {
+pub struct DomainOptions<'a> {
     /// Host, or host and port, that members dial.
     pub at: &'a str,
     pub udp: SocketAddr,
@@ -38,7 +38,7 @@ pub struct Made {
 }
 
 impl Home {
-    pub fn create(&self, wanted: &Wanted) -> anyhow::Result<Made> {
+    pub fn create(&self, wanted: &DomainOptions) -> anyhow::Result<Made> {
         std::fs::create_dir_all(self.folder()).with_context(|| format!("cannot create {}", self.folder().display()))?;
         let is_new = !self.path("domain.pem").exists();
         if is_new {
@@ -50,10 +50,11 @@ impl Home {
         self.admit(&join, "join", "join")?;
         self.certify_join_service(&join)?;
         let domain = self.card()?.name();
-        let at = if wanted.at.contains(':') { wanted.at.to_owned() } else { format!("{}:{}", wanted.at, wanted.udp.port()) };
-        let place = Place { at: format!("udp://{at}"), switch: switch.name(), port: wanted.udp.port() };
-        place.target()?;
-        self.replace("place", &serde_json::to_string(&place)?)?;
+        let at =
+            if wanted.at.contains(':') { wanted.at.to_owned() } else { format!("{}:{}", wanted.at, wanted.udp.port()) };
+        let address = DomainAddress { at: format!("udp://{at}"), switch: switch.name(), port: wanted.udp.port() };
+        address.target()?;
+        self.replace("address", &serde_json::to_string(&address)?)?;
         self.replace("gdp.yaml", &wanted.configuration()?)?;
         Ok(Made { domain, switch: switch.name(), is_new })
     }
@@ -72,7 +73,8 @@ impl Home {
         }
         let authority = self.authority()?;
         let (not_before, not_after) = validity(LIFETIME);
-        let (domain, entity, role, serial) = (authority.identity.name(), identity.name(), role.to_owned(), authority.serial);
+        let (domain, entity, role, serial) =
+            (authority.identity.name(), identity.name(), role.to_owned(), authority.serial);
         let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
         let membership = Membership::issue(&authority.identity, &claims)?;
         let (to, file) = (To::Member { entity, role }, Some(file));
@@ -93,7 +95,8 @@ impl Home {
         }
         let authority = self.authority()?;
         let key = authority.identity.key();
-        for (label, card) in [("directory", directory_card(key.verify_key())?), ("join", join_card(key.verify_key())?)] {
+        for (label, card) in [("directory", directory_card(key.verify_key())?), ("join", join_card(key.verify_key())?)]
+        {
             let (name, serial, (not_before, not_after)) = (card.name(), authority.serial, validity(LIFETIME));
             let (entity, delegate) = (join.name(), join.key().verify_key());
             let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
@@ -114,7 +117,7 @@ fn is_fresh(until: u64) -> bool {
     until.saturating_sub(LIFETIME / 2) > unix_seconds()
 }
 
-impl Wanted<'_> {
+impl DomainOptions<'_> {
     fn configuration(&self) -> anyhow::Result<String> {
         let quoted = |text: String| escape_json(&serde_json::json!(text).to_string()).into_owned();
         let mut text = format!(

@@ -15,7 +15,7 @@ use gdp_util::terminal::note;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::invite::{Terms, imported, topics_of, check_pattern};
+use super::invite::{Terms, check_pattern, imported, topics_of};
 use super::{DAY, HOUR, Home, HomeOptions, SERVER};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
@@ -40,13 +40,13 @@ pub struct Options {
 #[serde(deny_unknown_fields)]
 struct Fleet {
     version: u64,
-    members: BTreeMap<String, Wanted>,
+    members: BTreeMap<String, MemberTerms>,
 }
 
 /// A member in the file. The keys are those of `gdp-ctl invite`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Wanted {
+struct MemberTerms {
     #[serde(default)]
     expose: Vec<String>,
     #[serde(default)]
@@ -71,13 +71,13 @@ pub struct ApplyOutput {
     line: Option<String>,
 }
 
-enum Change {
+enum Difference {
     Invite(Terms),
     Enroll(Enrollment),
     Revoke,
 }
 
-impl Change {
+impl Difference {
     fn as_str(&self) -> &'static str {
         match self {
             Self::Invite(_) => "invite",
@@ -99,16 +99,16 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let kind = change.as_str();
         let line = match change {
             _ if !options.yes => None,
-            Change::Invite(terms) => {
-                let place = home.place()?;
-                let (token, _) = home.invite(terms, place.target()?, &place)?;
+            Difference::Invite(terms) => {
+                let address = home.address()?;
+                let (token, _) = home.invite(terms, address.target()?, &address)?;
                 Some(token.to_line().to_string())
             }
-            Change::Enroll(enrollment) => {
-                home.enroll_anew(enrollment)?;
+            Difference::Enroll(enrollment) => {
+                home.reenroll(enrollment)?;
                 None
             }
-            Change::Revoke => {
+            Difference::Revoke => {
                 revoked.push(label.clone());
                 None
             }
@@ -144,23 +144,23 @@ fn load(path: &PathBuf) -> anyhow::Result<Fleet> {
 }
 
 /// Returns the differences between the domain and the file, in the order of labels.
-fn changes(home: &Home, fleet: Fleet) -> anyhow::Result<Vec<(String, Change)>> {
+fn changes(home: &Home, fleet: Fleet) -> anyhow::Result<Vec<(String, Difference)>> {
     let known: BTreeMap<String, Enrollment> = home.enrolled()?;
     let mut changes = Vec::new();
     let gone = known.keys().filter(|label| *label != SERVER && !fleet.members.contains_key(*label));
-    changes.extend(gone.map(|label| (label.clone(), Change::Revoke)));
+    changes.extend(gone.map(|label| (label.clone(), Difference::Revoke)));
     for (label, wanted) in fleet.members {
         let (terms, enrollment) = (terms(&label, wanted).with_context(|| label.clone())?, known.get(&label));
         let same = |enrollment: &Enrollment| {
             (&enrollment.expose, &enrollment.import, &enrollment.read) == (&terms.expose, &terms.import, &terms.read)
         };
         match enrollment {
-            None => changes.push((label, Change::Invite(terms))),
+            None => changes.push((label, Difference::Invite(terms))),
             Some(enrollment) if same(enrollment) => {}
             Some(enrollment) => {
                 let Terms { expose, import, read, .. } = terms;
                 let enrollment = Enrollment { expose, import, read, ..enrollment.clone() };
-                changes.push((label, Change::Enroll(enrollment)));
+                changes.push((label, Difference::Enroll(enrollment)));
             }
         }
     }
@@ -168,8 +168,8 @@ fn changes(home: &Home, fleet: Fleet) -> anyhow::Result<Vec<(String, Change)>> {
     Ok(changes)
 }
 
-fn terms(label: &str, wanted: Wanted) -> anyhow::Result<Terms> {
-    let Wanted { expose, import, read, duration, role } = wanted;
+fn terms(label: &str, wanted: MemberTerms) -> anyhow::Result<Terms> {
+    let MemberTerms { expose, import, read, duration, role } = wanted;
     expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
     let duration = duration.map_or(Ok(365 * DAY), |text| parse_seconds(&text).map(u64::from));
     Ok(Terms {
@@ -185,7 +185,7 @@ fn terms(label: &str, wanted: Wanted) -> anyhow::Result<Terms> {
 
 impl Home {
     /// Signs other topics for a member. The join service lists them at once.
-    fn enroll_anew(&self, enrollment: Enrollment) -> anyhow::Result<()> {
+    fn reenroll(&self, enrollment: Enrollment) -> anyhow::Result<()> {
         let authority = self.authority()?;
         let enrollment = Enrollment { serial: authority.serial, ..enrollment };
         self.record("enroll", &enrollment.label, &[enrollment.member])?;

@@ -78,14 +78,17 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     if expose.is_empty() && import.is_empty() && read.is_empty() {
         bail!("nothing would cross: say what {label} exposes, imports or reads, such as --expose '/camera/**'");
     }
+    if label == SERVER {
+        bail!("{SERVER} is the label of the server's own proxy; choose another label");
+    }
     expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
     let import = imported(label, import)?;
     let read = read.iter().map(|text| topics_of(text)).collect::<anyhow::Result<_>>()?;
     let (label, role, expose) = (label.clone(), role.clone(), expose.clone());
     let (duration, within) = (options.duration.into(), options.within.into());
-    let place = home.place()?;
+    let address = home.address()?;
     let terms = Terms { label: label.clone(), role, expose, import, read, duration, within };
-    let (token, claims) = home.invite(terms, place.target()?, &place)?;
+    let (token, claims) = home.invite(terms, address.target()?, &address)?;
     let line = token.to_line();
     let Invite { not_after: use_until, member_until, .. } = claims;
     if !context.output.json {
@@ -99,7 +102,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 impl Home {
     /// Makes an invitation that enrolls the new member.
-    pub(super) fn invite(&self, terms: Terms, at: LinkTarget, place: &super::Place) -> anyhow::Result<(Token, Invite)> {
+    pub(super) fn invite(
+        &self,
+        terms: Terms,
+        at: LinkTarget,
+        address: &super::DomainAddress,
+    ) -> anyhow::Result<(Token, Invite)> {
         let Terms { label, role, expose, import, read, duration, within } = terms;
         check_label(&label)?;
         let authority = self.authority()?;
@@ -109,13 +117,23 @@ impl Home {
             issue.label.as_ref() == Some(&label) && is_valid && !issue.is_revoked(authority.revocation.as_ref())
         };
         if authority.issued.iter().any(|issue| holds(&issue)) {
-            bail!("{label} is a member or invited already; choose another label, or first run `gdp-ctl revoke {label}`");
+            bail!(
+                "{label} is a member or invited already; choose another label, or first run `gdp-ctl revoke {label}`"
+            );
         }
         let (invited, key) = (SigningKey::generate()?, authority.identity.key());
         let (domain, serial) = (authority.identity.name(), authority.serial);
         let (not_before, not_after) = validity(within.min(duration));
         let (_, member_until) = validity(duration);
-        let claims = Invite { domain, key: invited.verify_key(), role: role.clone(), serial, not_before, not_after, member_until };
+        let claims = Invite {
+            domain,
+            key: invited.verify_key(),
+            role: role.clone(),
+            serial,
+            not_before,
+            not_after,
+            member_until,
+        };
         let join_service = Identity::new(SigningKey::load(&self.path("join.pem"))?, "tool").key().verify_key();
         let enrollment = Enrollment {
             domain,
@@ -136,7 +154,7 @@ impl Home {
         let enrollment = issue(key, &enrollment)?;
         self.keep_enrollment(&label, &enrollment)?;
         let enrolling = Enrolling { enrollment, call: issue(key, &call)? };
-        let token = Token::new(authority.identity.proof(), issue(key, &claims)?, invited, at, Some(place.switch))?;
+        let token = Token::new(authority.identity.proof(), issue(key, &claims)?, invited, at, Some(address.switch))?;
         let token = token.enroll(enrolling)?;
         self.record("invite", &label, &[serial])?;
         let (to, label) = (To::Invited { role }, Some(label));
@@ -150,7 +168,9 @@ pub(super) fn imported(label: &str, patterns: &[String]) -> anyhow::Result<Vec<T
     for pattern in patterns {
         check_pattern(pattern)?;
         if pattern.split('/').nth(1).is_none_or(|part| part.contains('*')) {
-            bail!("import {pattern}: begin with a segment without *, because {label} has the topics under their own names");
+            bail!(
+                "import {pattern}: begin with a segment without *, because {label} has the topics under their own names"
+            );
         }
     }
     let of_server = TopicsOf { member: SERVER.into(), topics: patterns.to_vec() };

@@ -10,9 +10,9 @@ use gdp_core::cert::{AdCert, Membership, Revocation};
 use gdp_core::domain::Credentials;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::secret_file;
-use gdp_directory::messages::{Reply, Request};
-use gdp_directory::service::{Delegations, JoinService};
 use gdp_directory::directory::MAX_DIRECTORY;
+use gdp_directory::messages::{JoinReply, JoinRequest};
+use gdp_directory::service::{Delegations, JoinService};
 use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_nanos;
@@ -37,7 +37,7 @@ pub struct Options {
 }
 
 /// The service with its files.
-struct Running {
+struct JoinServer {
     home: Home,
     service: JoinService,
     publisher: Publisher,
@@ -63,7 +63,8 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 /// Returns the join service with the members that have joined.
 pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
     let domain = home.card()?;
-    let delegations = Delegations { directory: home.signed("directory.delegation")?, join: home.signed("join.delegation")? };
+    let delegations =
+        Delegations { directory: home.signed("directory.delegation")?, join: home.signed("join.delegation")? };
     let mut service = JoinService::new(SigningKey::load(&home.path("join.pem"))?, domain.name(), delegations);
     let members = home.path("directory.members");
     match secret_file::read(&members, MAX_DIRECTORY) {
@@ -102,7 +103,7 @@ async fn serve(home: Home) -> anyhow::Result<()> {
     let cert = |name: &str| anyhow::Ok(home.signed::<AdCert>(name)?.into());
     let publisher = node.publish(directory_card(domain)?.proof(), cert("directory.cert")?, options()).await?;
     let mut server = node.serve(join_card(domain)?.proof(), cert("join.cert")?).await?;
-    let mut running = Running { home, service, publisher, published: Vec::new() };
+    let mut running = JoinServer { home, service, publisher, published: Vec::new() };
     running.publish()?;
     tracing::info!("the join service is ready");
     let mut again = tokio::time::interval(AGAIN);
@@ -123,18 +124,18 @@ async fn serve(home: Home) -> anyhow::Result<()> {
     }
 }
 
-impl Running {
+impl JoinServer {
     /// Answers a call. A new member is stored and published before it knows.
     async fn answer(&mut self, call: Call) -> anyhow::Result<()> {
         let caller = call.client();
-        let reply = match Request::from_bytes(call.body()) {
+        let reply = match JoinRequest::from_bytes(call.body()) {
             Ok(request) => self.service.answer(caller, request, unix_nanos()),
-            Err(error) => Reply::Refused(format!("the request cannot be read: {error}")),
+            Err(error) => JoinReply::Refused(format!("the request cannot be read: {error}")),
         };
         match &reply {
-            Reply::Refused(reason) => tracing::warn!(%caller, "refused to join: {reason}"),
-            Reply::Joined { .. } | Reply::Left => {
-                tracing::info!(%caller, "{}", if reply == Reply::Left { "left" } else { "joined" });
+            JoinReply::Refused(reason) => tracing::warn!(%caller, "refused to join: {reason}"),
+            JoinReply::Joined { .. } | JoinReply::Left => {
+                tracing::info!(%caller, "{}", if reply == JoinReply::Left { "left" } else { "joined" });
                 self.store()?;
                 self.publish()?;
             }
@@ -160,12 +161,12 @@ impl Running {
 }
 
 async fn connect(home: &Home) -> anyhow::Result<Node> {
-    let place = home.place()?;
+    let address = home.address()?;
     let identity = Identity::new(SigningKey::load(&home.path("join.pem"))?, "tool");
     let membership = std::fs::read_to_string(home.path("join.member")).context("join.member")?;
     let credentials = Some(Credentials { membership: Membership::from_pem(&membership)?, peers: Vec::new() });
-    let target: gdp_core::link_target::LinkTarget = format!("udp://127.0.0.1:{}", place.port).parse()?;
-    let links = vec![LinkConfig { target: target.clone(), switch: Some(place.switch), budget: None }];
+    let target: gdp_core::link_target::LinkTarget = format!("udp://127.0.0.1:{}", address.port).parse()?;
+    let links = vec![LinkConfig { target: target.clone(), switch: Some(address.switch), budget: None }];
     let config = NodeConfig { links, credentials, ..NodeConfig::new(identity, target) };
     loop {
         match Node::connect(config.clone()).await {

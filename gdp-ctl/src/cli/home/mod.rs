@@ -9,7 +9,7 @@
 //! | `enrollments` | the newest Enrollment of each label |
 //! | `directory.members` | the members that have joined |
 //! | `audit.log` | what was issued and revoked, a JSON object a line |
-//! | `place` | the address that members dial, and the switch there |
+//! | `address` | the address that members dial, and the switch there |
 //! | `server/` | keys and configuration of this machine's own proxy |
 
 mod admin;
@@ -74,7 +74,7 @@ struct Home(PathBuf);
 /// Where members find the domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Place {
+struct DomainAddress {
     at: String,
     switch: Name,
     /// The port of the switch on this machine.
@@ -94,7 +94,10 @@ impl Home {
     fn authority(&self) -> anyhow::Result<Authority> {
         let key = self.path("domain.pem");
         if !key.exists() {
-            anyhow::bail!("there is no domain in {}: make one with `gdp-ctl up`, or say where with --dir", self.0.display());
+            anyhow::bail!(
+                "there is no domain in {}: make one with `gdp-ctl up`, or say where with --dir",
+                self.0.display()
+            );
         }
         Authority::open(&key, None)
     }
@@ -108,8 +111,8 @@ impl Home {
         self.path("domain.card.revocation")
     }
 
-    fn place(&self) -> anyhow::Result<Place> {
-        let path = self.path("place");
+    fn address(&self) -> anyhow::Result<DomainAddress> {
+        let path = self.path("address");
         let text = std::fs::read_to_string(&path).with_context(|| format!("{}: run `gdp-ctl up`", path.display()))?;
         serde_json::from_str(&text).with_context(|| path.display().to_string())
     }
@@ -121,8 +124,8 @@ impl Home {
     }
 }
 
-impl Place {
+impl DomainAddress {
     fn target(&self) -> anyhow::Result<LinkTarget> {
-        self.at.parse().with_context(|| format!("place: {} is no address", self.at))
+        self.at.parse().with_context(|| format!("address: {} is no address", self.at))
     }
 }

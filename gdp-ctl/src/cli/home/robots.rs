@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use clap::Args;
 use gdp_core::cert::TopicsOf;
 use gdp_core::name::NamePrefix;
-use gdp_directory::service::Row;
+use gdp_directory::service::MemberRow;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use schemars::JsonSchema;
@@ -49,7 +49,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let authority = home.authority()?;
     let now = unix_seconds();
-    let joined: BTreeMap<u64, Row> = join_service::stored(&home)?.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
+    let joined: BTreeMap<u64, MemberRow> =
+        join_service::stored(&home)?.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
     let is_member = |issue: &&Issue| matches!(issue.to, To::Invited { .. }) && issue.label.is_some();
     let member = |issue: &Issue| {
@@ -80,7 +81,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
             let days = member.until.saturating_sub(now).div_ceil(86400);
             let lists = [&member.expose, &member.import, &member.read];
-            let [expose, import, read] = lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
+            let [expose, import, read] =
+                lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
             [member.label.clone(), member.state.to_owned(), entity, expose, import, read, format!("{days} d")]
         };
         let rows: Vec<_> = output.members.iter().map(row).collect();
@@ -89,7 +91,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 }
 
 /// Returns the entities that publish their catalog now. `None` if no daemon answers.
-fn online(joined: &BTreeMap<u64, Row>, context: &Context) -> Option<BTreeSet<Name>> {
+fn online(joined: &BTreeMap<u64, MemberRow>, context: &Context) -> Option<BTreeSet<Name>> {
     let mut client = context.client().ok()?;
     let mut online = BTreeSet::new();
     for catalog in joined.values().filter_map(|row| row.catalog) {

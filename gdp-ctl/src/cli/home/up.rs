@@ -16,7 +16,7 @@ use gdp_util::unix_time::unix_seconds;
 use tokio::process::{Child, Command};
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::create::{Made, Wanted};
+use super::create::{DomainOptions, Made};
 use super::invite::Terms;
 use super::{DAY, Home, HomeOptions, SERVER, join_service};
 use crate::cli::context::Context;
@@ -50,7 +50,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let at = options.at.clone().map_or_else(own_address, Ok)?;
     let socket = context.socket.as_deref();
-    let made = home.create(&Wanted { at: &at, udp: options.udp, xdp: !options.no_xdp, socket })?;
+    let made = home.create(&DomainOptions { at: &at, udp: options.udp, xdp: !options.no_xdp, socket })?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -141,12 +141,12 @@ impl Programs {
 impl Home {
     /// Returns an invitation for this machine's own proxy, which reads what all members expose.
     fn server_line(&self) -> anyhow::Result<String> {
-        let place = self.place()?;
+        let address = self.address()?;
         let read = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: vec!["/**".into()] }];
         let (label, role) = (SERVER.to_owned(), SERVER.to_owned());
         let terms = Terms { label, role, expose: vec![], import: vec![], read, duration: 365 * DAY, within: 3600 };
-        let at = format!("udp://127.0.0.1:{}", place.port).parse().context("this machine's own address")?;
-        let (token, _) = self.invite(terms, at, &place)?;
+        let at = format!("udp://127.0.0.1:{}", address.port).parse().context("this machine's own address")?;
+        let (token, _) = self.invite(terms, at, &address)?;
         Ok(token.to_line().to_string() + "\n")
     }
 }
@@ -160,7 +160,7 @@ async fn answers(context: &Context) {
 
 /// Says what was made, what is open, and what comes next.
 fn tell(home: &Home, options: &Options, made: &Made, proxy: Option<&Path>) -> anyhow::Result<()> {
-    let (folder, place) = (home.folder().display(), home.place()?);
+    let (folder, address) = (home.folder().display(), home.address()?);
     let members = join_service::stored(home)?.rows(unix_seconds());
     let members = members.iter().filter(|row| row.enrollment.label != SERVER).count();
     let state = if made.is_new { "new" } else { "as it was" };
@@ -173,9 +173,12 @@ fn tell(home: &Home, options: &Options, made: &Made, proxy: Option<&Path>) -> an
         None => "none".to_owned(),
     };
     terminal::print([
-        format!("Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)", made.domain),
+        format!(
+            "Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)",
+            made.domain
+        ),
         format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, options.udp),
-        format!("Members   dial {}; another address: --at HOST", place.at),
+        format!("Members   dial {}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
         "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
     ])
