@@ -31,8 +31,11 @@ use gdp_ros::types::Types;
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
-/// How often the log reports that the switch does not answer.
+/// Time of one attempt to connect to a switch.
 const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
+
+/// Time after which the log reports that no switch has answered.
+const SILENCE: Duration = Duration::from_secs(2);
 
 /// Runs until `stop` completes, or an error occurs that only a restart can fix. `watch` watches the
 /// configuration that was loaded.
@@ -217,10 +220,31 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     };
     let addresses: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let addresses = addresses.join(", ");
+    tracing::info!(links = %addresses, "connecting to the switch");
+    let mut reported = None;
     loop {
-        match Node::connect(node.clone()).await {
+        let mut connecting = std::pin::pin!(Node::connect(node.clone()));
+        let connected = tokio::select! {
+            connected = &mut connecting => connected,
+            () = tokio::time::sleep(SILENCE), if reported.is_none() => {
+                tracing::warn!(
+                    links = %addresses,
+                    "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way? \
+                     Trying on"
+                );
+                connecting.await
+            }
+        };
+        match connected {
             Ok(node) => return Ok(node),
-            Err(error) if error.may_pass() => tracing::warn!(links = %addresses, "no switch yet: {error}"),
+            Err(error) if error.may_pass() => {
+                // The same error again is no news.
+                let error = error.to_string();
+                if reported.as_ref() != Some(&error) {
+                    tracing::warn!(links = %addresses, "no switch yet: {error}; trying on");
+                }
+                reported = Some(error);
+            }
             Err(error) => return Err(error).with_context(|| format!("cannot attach at {addresses}")),
         }
     }

@@ -80,6 +80,8 @@ struct Inner {
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
     streams: JoinHandle<()>,
+    /// See `Hello::run`.
+    peer_run: Option<u64>,
     credentials: StdMutex<Option<Arc<Credentials>>>,
     /// The reason for which this side closed the link.
     closed_for: OnceLock<String>,
@@ -121,6 +123,7 @@ impl Link {
             connection,
             requests: Mutex::new(requests),
             streams,
+            peer_run: peer_end.run,
             credentials: StdMutex::new(peer_end.credentials.map(Arc::new)),
             closed_for: OnceLock::new(),
         })))
@@ -128,6 +131,12 @@ impl Link {
 
     pub fn peer(&self) -> &Peer {
         &self.0.peer
+    }
+
+    /// Whether another run of the same endpoint's program has `other`. Endpoints of earlier releases
+    /// do not state their run.
+    pub fn is_of_another_run(&self, other: &Self) -> bool {
+        self.0.peer_run.zip(other.0.peer_run).is_some_and(|(own, other)| own != other)
     }
 
     /// Returns the credentials that the peer sent for its domain. The link does not verify them.

@@ -87,6 +87,8 @@ pub struct PortConfig {
     pub ethertype: u16,
     /// The rekey schedule of data frames.
     pub rekey: RekeySchedule,
+    /// Start of this program in Unix nanoseconds, the same for all ports of an endpoint.
+    pub run: Option<u64>,
     /// The domain credentials that new links send to their peers. Shared by all ports of an entity.
     pub credentials: CurrentCredentials,
     /// Counters of inbound handshakes. Shared by all ports of an entity.
@@ -116,6 +118,7 @@ impl PortConfig {
             listen: false,
             ethertype,
             rekey,
+            run: None,
             credentials,
             handshakes,
         }
@@ -204,6 +207,7 @@ impl Port {
             zero_checksum: medium.udp().is_some_and(|socket| socket.takes_zero_checksums()),
             host: medium.udp().and_then(|socket| socket.host()),
             pair: CurrentPair::default(),
+            run: config.run,
             credentials: config.credentials.clone(),
             versions: Versions::SPOKEN,
         };

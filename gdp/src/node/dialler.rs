@@ -45,7 +45,7 @@ pub struct Dialler {
 
 impl Dialler {
     pub fn new(
-        identity: Identity,
+        (identity, run): (Identity, u64),
         home: Arc<Home>,
         lane: u8,
         config: LinkConfig,
@@ -55,7 +55,8 @@ impl Dialler {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
         let credentials = home.credentials.clone();
-        let port_config = PortConfig { rekey, lane, through, credentials, ..PortConfig::endpoint(identity) };
+        let port_config =
+            PortConfig { rekey, lane, through, run: Some(run), credentials, ..PortConfig::endpoint(identity) };
         let changes = network.as_ref().map(|network| network.changes());
         let (port, through, address, path) = (None, None, None, NetworkPath::Unknown);
         Self { target, port, through, network, path, home, pinned, port_config, changes, address }

@@ -26,6 +26,7 @@ use super::state::State;
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
 use gdp_link::link::{LinkError, RekeySchedule};
 use gdp_util::backoff::Backoff;
+use gdp_util::unix_time::unix_nanos;
 
 /// A link with a silent switch, in use until this time at the latest.
 struct StaleLink {
@@ -60,8 +61,9 @@ pub async fn run(
                                 made anew after seconds");
     });
     let network = network.ok().map(Arc::new);
+    let run = unix_nanos();
     for (lane, config) in (0..).zip(links) {
-        let (identity, home) = (state.identity.clone(), state.home.clone());
+        let (identity, home) = ((state.identity.clone(), run), state.home.clone());
         let dialler = Dialler::new(identity, home, lane, config, rekey, network.clone());
         let supervisor =
             Supervisor { state: state.clone(), lane, dialler, expedite: ExpediteToken::default(), reason_known: false };
@@ -256,8 +258,14 @@ impl Supervisor {
             let link = self.dialler.dial_first(&port, &candidates, apart).await?;
             let attachment = Arc::new(Attachment::new(self.lane, link, self.dialler.path.clone(), &port));
             self.state.commands.send(Command::Attach { attachment: attachment.clone(), stale: stale.clone() });
-            if !attachment.link.is_by_pair() || attachment.is_answered(ANSWER).await {
+            if !attachment.link.is_by_pair() {
                 return Ok(attachment);
+            }
+            tokio::select! {
+                is_answered = attachment.is_answered(ANSWER) => if is_answered {
+                    return Ok(attachment);
+                },
+                reason = attachment.link.closed() => return Err(LinkError::Closed(reason).into()),
             }
             tracing::warn!(
                 to = %attachment.link.addr(),

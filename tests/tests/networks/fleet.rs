@@ -62,6 +62,41 @@ fn twenty_robots_join_by_one_file_and_outlive_the_loss_of_their_server() -> Resu
     revoked.wait_until("a refusal", TIMEOUT, |revoked| revoked.stderr().contains("revo").then_some(()))
 }
 
+/// As of a cloned SD card.
+#[test]
+fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_other() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.ctl(&["invite", "robot7", "--expose", "/a"])?;
+    scene.join("robot7", &line)?;
+    execute(Command::new("cp").args(["-r", &scene.path("robot7"), &scene.path("clone")]))?;
+    let start = |label: &str| -> Result<Process> {
+        let config = scene.path(&format!("{label}/proxy.yaml"));
+        Process::spawn(label, scene.proxy(&["--config", &config])?, scene.files.path())
+    };
+    let is_attached = |proxy: &Process| proxy.stderr().contains("what=directory").then_some(());
+    let mut first = start("robot7")?;
+    first.wait_until("the directory", TIMEOUT, is_attached)?;
+    let before = first.stderr().lines().count();
+    let mut clone = start("clone")?;
+    let says = "another program uses the key";
+    clone.wait_until("a refusal", TIMEOUT, |clone| clone.stderr().contains(says).then_some(()))?;
+    // Several attempts later.
+    std::thread::sleep(std::time::Duration::from_secs(12));
+    let count = |text: &str| text.lines().filter(|line| line.contains(says) || line.contains("no answer yet")).count();
+    ensure!(clone.stderr().contains(", at udp:"), "{}", clone.stderr());
+    ensure!(count(&clone.stderr()) <= 2, "{}", clone.stderr());
+    let switch = scene.up.as_ref().context("the server")?.stderr();
+    ensure!(count(&switch) <= 2, "{switch}");
+    ensure!(first.stderr().lines().count() == before, "the first one notices nothing: {}", first.stderr());
+
+    // A program that dies without a word has a successor at once.
+    first.kill()?;
+    clone.wait_until("the directory", TIMEOUT, is_attached)?;
+    clone.kill()?;
+    start("robot7")?.wait_until("the directory", TIMEOUT, is_attached)
+}
+
 #[test]
 fn mistakes_on_the_way_into_a_domain_name_the_remedy() -> Result<()> {
     let mut scene = Scene::build()?;

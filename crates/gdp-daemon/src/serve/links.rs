@@ -2,7 +2,7 @@
 //! link to the RIB.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gdp_core::peer::Role;
 use gdp_link::link::{Link, LinkKeys, Responder};
@@ -16,8 +16,11 @@ use super::events::Event;
 use super::{costs, domain, flooding, liveness};
 use crate::config::Via;
 
+/// Time, beside three round trips, within which a program that still runs answers over its link.
+const ANSWER: Duration = Duration::from_millis(200);
+
 /// Takes a new link into service, or closes it with the reason if its peer may not have it. Waits
-/// only for the RIB, and only if [`must_ask`] returns true.
+/// for the RIB and for another program with the same key, and only if [`must_ask`] returns true.
 pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), String> {
     let refuse = |reason: String| {
         link.close(&reason);
@@ -32,6 +35,9 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
         && let Err(refusal) = domain::ask_admitted(daemon, question).await
     {
         return refuse(refusal.reason);
+    }
+    if let Some(reason) = used_elsewhere(daemon, &link).await {
+        return refuse(reason);
     }
     // Check again, because a revocation may have arrived in the meantime.
     let admitted = daemon.core().admit(&link, &via);
@@ -74,7 +80,23 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
 
 /// Returns whether the RIB must confirm the peer before the link is accepted.
 pub fn must_ask(daemon: &Daemon, link: &Link) -> bool {
-    question(daemon, link).is_some()
+    daemon.core().switch.link_of_another_run(link).is_some() || question(daemon, link).is_some()
+}
+
+/// Returns the reason of a refusal if another program with the peer's key answers over its own
+/// link. A program that was killed does not answer, and its successor gets the link.
+async fn used_elsewhere(daemon: &Daemon, link: &Link) -> Option<String> {
+    let other = daemon.core().switch.link_of_another_run(link)?;
+    // An endpoint refuses this request, which is an answer.
+    let answer = tokio::time::timeout(ANSWER + 3 * other.rtt(), other.request(&Request::Ready)).await;
+    if !matches!(answer, Ok(Ok(_))) {
+        return None;
+    }
+    let (peer, at) = (link.peer().name, other.addr());
+    Some(format!(
+        "another program uses the key of {peer:#}, at {at}; stop it, or make a key for each machine \
+         (`gdp-ctl key generate`, or for a member `gdp-proxy leave` and `join`)"
+    ))
 }
 
 fn question(daemon: &Daemon, link: &Link) -> Option<Request> {

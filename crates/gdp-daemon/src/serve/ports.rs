@@ -178,7 +178,7 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
 async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
     while let Some(result) = port.accept().await {
         match result {
-            // The answer of the RIB may take time.
+            // The answer of the RIB, or of another program with the same key, may take time.
             Ok(link) if links::must_ask(daemon, &link) => {
                 let (daemon, via) = (daemon.clone(), via.clone());
                 daemon.clone().spawn(async move { take(&daemon, link, via).await });
@@ -192,8 +192,10 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
 async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let peer = link.peer().name;
     if let Err(reason) = links::take(daemon, link, via.clone()).await {
-        daemon.core().switch.refused(peer, &via, &reason);
-        tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
+        let is_new = daemon.core().switch.refused(peer, &via, &reason);
+        if is_new {
+            tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
+        }
     }
 }
 

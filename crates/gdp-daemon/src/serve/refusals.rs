@@ -20,12 +20,16 @@ pub struct Refused {
 }
 
 impl Refusals {
-    pub fn add(&mut self, peer: Name, reason: String, at: Instant) {
+    /// Records a refusal. Returns true if the peer was refused for another reason before, or for
+    /// none.
+    pub fn add(&mut self, peer: Name, reason: String, at: Instant) -> bool {
         if self.0.len() >= MAX_PEERS && !self.0.contains_key(&peer) {
             let oldest = self.0.iter().min_by_key(|(_, refused)| refused.at).map(|(peer, _)| *peer);
             oldest.and_then(|oldest| self.0.remove(&oldest));
         }
+        let is_new = self.0.get(&peer).is_none_or(|before| before.reason != reason);
         self.0.insert(peer, Refused { reason, at });
+        is_new
     }
 
     /// Drops the refusal of a peer that has a link now.

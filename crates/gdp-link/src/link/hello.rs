@@ -55,6 +55,8 @@ struct Hello {
     /// switch sets it. The switch's frames come from that address too, instead of QUIC's address.
     /// The ports are those of QUIC.
     frames_at: Option<[u8; 4]>,
+    /// An endpoint's start in Unix nanoseconds. Two running programs with one key differ in it.
+    run: Option<u64>,
     /// The sender's credentials, if the sender is a member of a domain. The user of the link
     /// verifies them.
     #[serde(rename = "papers")]
@@ -76,6 +78,8 @@ pub struct HelloConfig {
     pub host: Option<u64>,
     /// A switch's interface pair for endpoints on its host.
     pub pair: CurrentPair,
+    /// See `Hello::run`.
+    pub run: Option<u64>,
     pub credentials: CurrentCredentials,
     /// The versions that this side speaks.
     pub versions: Versions,
@@ -176,6 +180,7 @@ async fn say(
         zero_checksum: config.zero_checksum,
         host,
         frames_at: frames_at.map(|ip| ip.octets()),
+        run: config.run,
         credentials: config.credentials.get().map(|credentials| Credentials::clone(&credentials)),
     };
     streams::write_message(send, &control::encode(&hello)?).await
@@ -197,7 +202,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = gdp_core::name::derive(&proof.owner_key, &proof.digest);
-    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, credentials, .. } = hello;
-    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), credentials };
+    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, run, credentials, .. } = hello;
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), run, credentials };
     Ok((Peer { name, proof, key, role, lane }, end))
 }

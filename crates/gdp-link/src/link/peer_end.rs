@@ -11,5 +11,6 @@ pub struct PeerEnd {
     pub zero_checksum: bool,
     pub host: Option<u64>,
     pub frames_at: Option<Ipv4Addr>,
+    pub run: Option<u64>,
     pub credentials: Option<Credentials>,
 }

@@ -119,6 +119,7 @@ fn config(versions: Versions, role: Role) -> HelloConfig {
         zero_checksum: false,
         host: None,
         pair: CurrentPair::default(),
+        run: None,
         credentials: Default::default(),
         versions,
         rekey: RekeySchedule::default(),

@@ -77,10 +77,10 @@ impl Switch {
         self.apply(changes);
     }
 
-    /// Records that a peer got no link, and why.
-    pub fn refused(&mut self, peer: Name, via: &Via, reason: &str) {
-        self.refusals.add(peer, reason.to_owned(), Instant::now());
+    /// Records that a peer got no link, and why. Returns whether the reason is new.
+    pub fn refused(&mut self, peer: Name, via: &Via, reason: &str) -> bool {
         self.events.tell(Event::LinkRefused { peer, via: via.to_string(), reason: reason.to_owned() });
+        self.refusals.add(peer, reason.to_owned(), Instant::now())
     }
 
     /// Handles a closed link. Returns whether it is stale and must be

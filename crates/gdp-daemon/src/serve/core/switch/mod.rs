@@ -234,6 +234,14 @@ impl Switch {
         self.peers.get(&(*peer, 0)).and_then(|id| self.links.get(id))
     }
 
+    /// Returns the open link that a new one would replace, if a program of the same endpoint that
+    /// started at another time has it.
+    pub fn link_of_another_run(&self, new: &Link) -> Option<Link> {
+        let id = self.peers.get(&(new.peer().name, new.peer().lane))?;
+        let link = &self.links.get(id)?.link;
+        (link.close_reason().is_none() && link.is_of_another_run(new)).then(|| link.clone())
+    }
+
     pub fn has_first_lane(&self, peer: &Name) -> bool {
         self.peers.contains_key(&(*peer, 0))
     }
