@@ -133,8 +133,8 @@ impl Link {
         &self.0.peer
     }
 
-    /// Whether another run of the same endpoint's program has `other`. Endpoints of earlier releases
-    /// do not state their run.
+    /// Whether another run of the same endpoint's program has `other`. Endpoints of earlier
+    /// releases do not state their run.
     pub fn is_of_another_run(&self, other: &Self) -> bool {
         self.0.peer_run.zip(other.0.peer_run).is_some_and(|(own, other)| own != other)
     }

@@ -22,7 +22,7 @@ const AT: &str = "10.9.0.1";
 fn a_robot_joins_in_two_commands_each_and_both_directions_flow() -> Result<()> {
     let mut scene = Scene::build()?;
     scene.up()?;
-    let line = scene.invite("robot7", &["--expose", "/chatter,/camera/**", "--import", "/cmd_vel"])?;
+    let line = scene.invite_as_in_readme("robot7")?;
     let joined = Instant::now();
     scene.join("robot7", &line)?;
     assert_eq!((scene.at_server, scene.at_members), (2, 1), "commands: up, invite; join");
@@ -90,7 +90,7 @@ fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
     scene.up()?;
     let line = scene.invite("robot7", &["--expose", "/chatter,/camera/**"])?;
     scene.join("robot7", &line)?;
-    let line = scene.invite("alice", &["--read", "robot7:/camera/**", "--for", "7d"])?;
+    let line = scene.invite_as_in_readme("alice")?;
     scene.join("alice", &line)?;
     let robot = &scene.robot.inside;
     let _chatter = scene.talk(robot, "rt/chatter", 64, 20.0)?;
@@ -208,6 +208,15 @@ impl Scene {
     fn invite(&mut self, label: &str, what: &[&str]) -> Result<String> {
         self.at_server += 1;
         self.ctl(&[&["invite", label], what].concat())
+    }
+
+    /// Invites with the command that README shows for this label.
+    fn invite_as_in_readme(&mut self, label: &str) -> Result<String> {
+        let command = format!("server$ sudo gdp-ctl invite {label} ");
+        let readme = include_str!("../../../README.md");
+        let options = readme.lines().find_map(|line| line.strip_prefix(&command)).context("a command in README")?;
+        let options: Vec<_> = options.split(' ').map(|option| option.trim_matches('\'')).collect();
+        self.invite(label, &options)
     }
 
     /// Joins on the machine of this label, and leaves the proxy running there.
