@@ -10,13 +10,14 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, bail};
 use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
-use gdp_core::cert::{Delegation, Enrollment, Issued, Membership, ReadGrant, issue};
-use gdp_core::domain::{Credentials, Token};
+use gdp_core::cert::domain::roles;
+use gdp_core::cert::{Delegation, Enrollment, Issued, Membership, ReadGrant, Signed, TopicsOf, issue};
+use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 use gdp_core::name::Metadata;
 use gdp_core::{cert::Grantee, secret_file};
-use gdp_directory::messages::{Join, JoinReply, JoinRequest, OfferedCatalog};
-use gdp_directory::{JOIN, join_card};
+use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
+use gdp_directory::{JOIN, fingerprint, join_card};
 use gdp_util::escape::escape_json;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
@@ -27,6 +28,9 @@ const MAX_LINE: u64 = 16 << 10;
 
 /// Time for which the join service is asked.
 const PATIENT: Duration = Duration::from_secs(10);
+
+/// Pause between two questions whether the machine is approved.
+const APPLY_AGAIN: Duration = Duration::from_secs(2);
 
 /// Pause before the join service is asked again, because the route to it may not exist yet.
 const SOON: Duration = Duration::from_millis(100);
@@ -43,6 +47,15 @@ pub struct Home {
 pub struct Joined {
     pub lines: Vec<String>,
     pub config: PathBuf,
+}
+
+/// What a machine asks for, if its invitation does not say it.
+#[derive(Clone, Debug)]
+pub struct Wishes {
+    pub label: String,
+    pub expose: Vec<String>,
+    pub import: Vec<TopicsOf>,
+    pub read: Vec<TopicsOf>,
 }
 
 /// Where the invitation comes from.
@@ -89,17 +102,60 @@ impl Home {
     }
 
     /// Joins the domain of the invitation. An attempt that failed may be repeated: the keys stay.
-    pub async fn join(&self, token: &Token) -> Result<Joined> {
+    /// With an invitation for applicants, it first waits for approval. `say` shows a line.
+    pub async fn join(&self, token: &Token, wishes: Wishes, say: impl Fn(String)) -> Result<Joined> {
+        if token.invite()?.role != roles::APPLICANT {
+            return self.enroll(token).await;
+        }
+        self.check_new()?;
+        let approved = self.apply(token, wishes, say).await?;
+        self.enroll(&approved).await
+    }
+
+    fn check_new(&self) -> Result<()> {
         if self.config().exists() {
             bail!(
                 "{} exists: this machine has joined. Start it with `gdp-proxy {0}`, or `gdp-proxy leave` first",
                 self.config().display()
             );
         }
+        fs::create_dir_all(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))
+    }
+
+    /// Asks to join until a person has decided, and returns the invitation.
+    async fn apply(&self, token: &Token, wishes: Wishes, say: impl Fn(String)) -> Result<Token> {
+        let enrolling = token.enrolling().context("the invitation enrolls nobody")?;
+        let identity = Identity::load_or_generate(&self.file("proxy.pem"), "proxy")?;
+        let key = SigningKey::load_or_generate(&self.file("application.pem"))?;
+        let Wishes { label, expose, import, read } = wishes;
+        let application = Application { key: key.verify_key(), label, expose, import, read };
+        let membership = token.admit(identity.name(), unix_seconds().saturating_sub(BACKDATED), unix_nanos())?;
+        let node = connect(token, &identity, membership).await?;
+        say(format!("Asks to join as {}. Fingerprint: {}", application.label, fingerprint(identity.name())));
+        say("Waits for approval: `gdp-ctl robots` on the domain's server shows the same fingerprint.".into());
+        let card = join_card(token.domain().verify_key()?)?;
+        let request = JoinRequest::Apply(Box::new(application));
+        let approval = loop {
+            let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
+            match ask(&node, &card, call, &request).await {
+                Ok(JoinReply::Approved(approval)) => break *approval,
+                Ok(JoinReply::Refused(reason)) => bail!("the domain does not let this machine join: {reason}"),
+                // The server may be away for a while.
+                Ok(_) | Err(_) => tokio::time::sleep(APPLY_AGAIN).await,
+            }
+        };
+        node.close().await;
+        let Approval { invite, enrollment, call } = approval;
+        let approved = Token::new(*token.domain(), invite, key, token.at().clone(), token.switch())?;
+        Ok(approved.enroll(Enrolling { enrollment, call })?)
+    }
+
+    /// Joins with an invitation of this machine's own.
+    async fn enroll(&self, token: &Token) -> Result<Joined> {
+        self.check_new()?;
         let Some(enrolling) = token.enrolling() else {
             bail!("this invitation admits a member and enrolls no topics: use it with `gdp-ctl domain join`");
         };
-        fs::create_dir_all(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))?;
         let domain_key = token.domain().verify_key()?;
         let enrollment = enrolling.enrollment.verify(&domain_key, unix_seconds())?;
         let identity = Identity::load_or_generate(&self.file("proxy.pem"), "proxy")?;
@@ -107,16 +163,7 @@ impl Home {
         let catalog = Some(self.catalog(&enrollment)?);
         let request = Join { membership: membership.clone(), enrollment: enrolling.enrollment.clone(), catalog };
 
-        let credentials = Credentials { membership, peers: Vec::new() };
-        let link = LinkConfig { target: token.at().clone(), switch: token.switch(), budget: None };
-        let node = NodeConfig {
-            links: vec![link],
-            credentials: Some(credentials),
-            ..NodeConfig::new(identity.clone(), token.at().clone())
-        };
-        let node = Node::connect(node).await.with_context(|| {
-            format!("no way into the domain at {}; is its switch running, and UDP open on the way?", token.at())
-        })?;
+        let node = connect(token, &identity, membership).await?;
         let card = join_card(domain_key)?;
         let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
         let reply = ask(&node, &card, call, &JoinRequest::Join(Box::new(request))).await;
@@ -127,7 +174,7 @@ impl Home {
                 write(&self.file("join.grant"), &call.to_pem())?;
             }
             JoinReply::Refused(reason) => bail!("the domain does not let this machine join: {reason}"),
-            JoinReply::Left => bail!("the join service answers another question"),
+            _ => bail!("the join service answers another question"),
         }
         write(&self.file("domain.card"), &domain_card(domain_key)?.to_json())?;
         let config = configuration(token, &enrollment);
@@ -157,7 +204,9 @@ impl Home {
             }
             Err(error) => Err(error.into()),
         };
-        for name in ["proxy.yaml", "membership", "domain.card", "directory.grant", "join.grant", "proxy.pem"] {
+        for name in
+            ["proxy.yaml", "membership", "domain.card", "directory.grant", "join.grant", "proxy.pem", "application.pem"]
+        {
             match fs::remove_file(self.file(name)) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                     return Err(error).with_context(|| format!("{}: cannot be removed", self.file(name).display()));
@@ -209,7 +258,7 @@ impl Home {
     fn first_call(
         &self,
         token: &Token,
-        delegation: gdp_core::cert::Signed<Delegation>,
+        delegation: Signed<Delegation>,
         identity: &Identity,
         card: &NameCard,
     ) -> Result<Issued<ReadGrant>> {
@@ -256,6 +305,16 @@ pub fn offer(owner: &SigningKey, card: &NameCard, enrollment: &Enrollment) -> Re
 /// Returns the card of a domain. All domains have the same metadata.
 fn domain_card(key: VerifyKey) -> Result<NameCard> {
     Ok(NameCard::new(key, Metadata::from([("kind".to_owned(), "domain".to_owned())]))?)
+}
+
+/// Attaches at the switch that the invitation names.
+async fn connect(token: &Token, identity: &Identity, membership: Membership) -> Result<Node> {
+    let credentials = Some(Credentials { membership, peers: Vec::new() });
+    let links = vec![LinkConfig { target: token.at().clone(), switch: token.switch(), budget: None }];
+    let config = NodeConfig { links, credentials, ..NodeConfig::new(identity.clone(), token.at().clone()) };
+    Node::connect(config).await.with_context(|| {
+        format!("no way into the domain at {}; is its switch running, and UDP open on the way?", token.at())
+    })
 }
 
 /// Asks the join service, repeatedly until there is a route to it.

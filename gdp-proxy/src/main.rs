@@ -9,9 +9,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use clap::{Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
+use gdp_core::cert::TopicsOf;
+use gdp_core::cert::enrollment::MAX_LABEL;
 use gdp_proxy::config::schema;
-use gdp_proxy::join::{Home, InvitationSource};
+use gdp_proxy::join::{Home, InvitationSource, Wishes};
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
@@ -65,6 +67,8 @@ enum Command {
         /// File with the invitation
         #[arg(long, value_name = "FILE")]
         file: Option<PathBuf>,
+        #[command(flatten)]
+        asks: Asks,
         /// Folder for keys and configuration [default: /etc/gdp for root, else ~/.config/gdp]
         #[arg(long, value_name = "FOLDER")]
         dir: Option<PathBuf>,
@@ -81,6 +85,45 @@ enum Command {
         #[arg(long, value_name = "FOLDER")]
         dir: Option<PathBuf>,
     },
+}
+
+/// What a machine asks for whose invitation is for applicants
+#[derive(Args)]
+#[command(next_help_heading = "With an invitation for applicants")]
+struct Asks {
+    /// Label to ask for [default: the host name]
+    #[arg(long)]
+    label: Option<String>,
+    /// Topics that others may read, such as '/camera/**'
+    #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
+    expose: Vec<String>,
+    /// Topics to get from the server
+    #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
+    import: Vec<String>,
+    /// Topics of others to read, such as 'robot7:/camera/**'
+    #[arg(long, value_name = "LABEL:PATTERN,…", value_delimiter = ',')]
+    read: Vec<String>,
+}
+
+impl Asks {
+    fn wishes(self) -> Result<Wishes> {
+        let label = self.label.map_or_else(host_label, Ok)?;
+        let of = |text: &String| {
+            let (member, pattern) =
+                text.split_once(':').with_context(|| format!("--read {text}: write LABEL:PATTERN"))?;
+            Ok(TopicsOf { member: member.into(), topics: vec![pattern.into()] })
+        };
+        let of_server = TopicsOf { member: "server".into(), topics: self.import.clone() };
+        let import = if self.import.is_empty() { vec![] } else { vec![of_server] };
+        Ok(Wishes { label, expose: self.expose, import, read: self.read.iter().map(of).collect::<Result<_>>()? })
+    }
+}
+
+/// Returns the host name as a label.
+fn host_label() -> Result<String> {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").context("the host name; use --label")?;
+    let label = host.trim().to_lowercase().replace(['-', '.'], "_");
+    Ok(label.chars().take(MAX_LABEL).collect())
 }
 
 fn main() -> ExitCode {
@@ -111,9 +154,9 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 
 fn run(arguments: Arguments) -> Result<()> {
     let arguments = match arguments.command {
-        Some(Command::Join { line, file, dir, no_run, stats }) => {
+        Some(Command::Join { line, file, asks, dir, no_run, stats }) => {
             let home = Home::new(dir)?;
-            join(&home, line, file)?;
+            join(&home, line, file, asks)?;
             if no_run {
                 return Ok(());
             }
@@ -132,7 +175,7 @@ fn run(arguments: Arguments) -> Result<()> {
 }
 
 /// Joins with the invitation, and prints what the machine now has.
-fn join(home: &Home, line: Option<String>, file: Option<PathBuf>) -> Result<()> {
+fn join(home: &Home, line: Option<String>, file: Option<PathBuf>, asks: Asks) -> Result<()> {
     let source = match (line, file, std::env::var("GDP_INVITATION")) {
         (Some(line), ..) if line != "-" => {
             terminal::note("gdp-proxy: warning: other users of this machine can read the invitation in its arguments");
@@ -147,7 +190,7 @@ fn join(home: &Home, line: Option<String>, file: Option<PathBuf>) -> Result<()> 
             InvitationSource::Stdin
         }
     };
-    let joined = once()?.block_on(home.join(&source.read()?))?;
+    let joined = once()?.block_on(home.join(&source.read()?, asks.wishes()?, |line| terminal::note(line)))?;
     Ok(terminal::print(joined.lines)?)
 }
 

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use gdp_core::cert::Invite;
+use gdp_core::cert::domain::roles;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
@@ -80,10 +81,13 @@ impl Invitations {
         self.0.get(&serial).is_some_and(|used| used.entity == *entity)
     }
 
-    /// Decides about an admission as the RIB does: a valid invitation admits the first entity.
-    /// Returns whether the admission is new.
+    /// Decides about an admission as the RIB does: a valid invitation admits the first entity, or
+    /// every applicant. Returns whether the admission is new.
     pub fn admit(&mut self, invite: &Invite, entity: Name, now: u64) -> Result<bool, NotInvited> {
         let serial = invite.serial;
+        if invite.role == roles::APPLICANT {
+            return Ok(false);
+        }
         match self.0.get(&serial) {
             Some(used) if used.entity == entity => return Ok(false),
             Some(used) => return Err(NotInvited::Used { serial, by: used.entity }),

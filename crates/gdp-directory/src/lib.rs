@@ -33,6 +33,12 @@ fn card(domain: VerifyKey, kind: &str) -> Result<NameCard, CardError> {
     NameCard::new(domain, Metadata::from([("kind".to_owned(), kind.to_owned())]))
 }
 
+/// Returns the fingerprint of a machine for people to compare: the first 64 bits of its name.
+pub fn fingerprint(entity: Name) -> String {
+    let digits = entity.to_string();
+    [0, 4, 8, 12].map(|at| &digits[at..at + 4]).join("-")
+}
+
 fn entity(name: Name) -> Grantee {
     Grantee::Entity(name)
 }

@@ -2,7 +2,8 @@
 
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
-use gdp_core::cert::{Delegation, Enrollment, Issued, Membership, ReadGrant, Signed};
+use gdp_core::cert::{Delegation, Enrollment, Invite, Issued, Membership, ReadGrant, Signed, TopicsOf};
+use gdp_core::identity::VerifyKey;
 use serde::{Deserialize, Serialize};
 
 use crate::directory::CatalogName;
@@ -16,8 +17,40 @@ const MAX_MESSAGE: usize = 64 << 10;
 pub enum JoinRequest {
     /// Enters the caller in the directory, or replaces its entry.
     Join(Box<Join>),
+    /// Asks the domain to make the caller a member, or whether it has.
+    Apply(Box<Application>),
     /// Removes the caller from the directory.
     Leave,
+}
+
+/// What a machine without an invitation asks for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Application {
+    /// The machine's key for the invitation that it asks for.
+    pub key: VerifyKey,
+    pub label: String,
+    pub expose: Vec<String>,
+    pub import: Vec<TopicsOf>,
+    pub read: Vec<TopicsOf>,
+}
+
+/// An invitation to the key of an [`Application`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Approval {
+    pub invite: Signed<Invite>,
+    pub enrollment: Signed<Enrollment>,
+    /// Delegation to the key: its holder may call the join service.
+    pub call: Signed<Delegation>,
+}
+
+/// Decision about an application.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Decision {
+    Approved(Box<Approval>),
+    Denied,
 }
 
 /// Evidence and catalog of a new member.
@@ -49,6 +82,9 @@ pub enum JoinReply {
         call: Box<Issued<ReadGrant>>,
     },
     Left,
+    /// The application waits for a person.
+    Pending,
+    Approved(Box<Approval>),
     /// The reason of a refusal, for people.
     Refused(String),
 }

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
+use gdp_core::cert::enrollment::{check_label, check_lists};
 use gdp_core::cert::{
     CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
 };
@@ -16,10 +17,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, Member, MemberEntry};
 use crate::entity;
-use crate::messages::{Join, JoinReply, JoinRequest, OfferedCatalog};
+use crate::messages::{Application, Decision, Join, JoinReply, JoinRequest, OfferedCatalog};
 
 /// Validity in seconds of the grants for catalogs. They are issued again after half of it.
 const GRANT_LIFETIME: u64 = 24 * 3600;
+
+/// Maximum number of applications that wait.
+const MAX_APPLICATIONS: usize = 64;
 
 /// Seconds by which a validity begins earlier, because clocks differ.
 const BACKDATED: u64 = 300;
@@ -35,7 +39,12 @@ pub struct JoinService {
     /// The newest enrollments that the domain's key signed, by the serial of the member.
     newest: BTreeMap<u64, Signed<Enrollment>>,
     revocation: Option<Revocation>,
+    applications: Applications,
+    decisions: BTreeMap<Name, Decision>,
 }
+
+/// The applications that wait, by the applicant's entity.
+pub type Applications = BTreeMap<Name, Application>;
 
 /// What the domain lets the key of the join service grant.
 #[derive(Clone, Debug)]
@@ -72,7 +81,17 @@ pub struct MemberRow {
 impl JoinService {
     pub fn new(key: SigningKey, domain: Name, delegations: Delegations) -> Self {
         let (members, grants, newest) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Self { key, domain, delegations, members, grants, newest, revocation: None }
+        Self {
+            key,
+            domain,
+            delegations,
+            members,
+            grants,
+            newest,
+            revocation: None,
+            applications: BTreeMap::new(),
+            decisions: BTreeMap::new(),
+        }
     }
 
     /// Restores the members from [`Self::to_bytes`].
@@ -110,17 +129,52 @@ impl JoinService {
         is_member
     }
 
+    /// Takes the applications that were stored.
+    pub fn restore_applications(&mut self, bytes: &[u8]) -> Result<(), CborError> {
+        self.applications = cbor::decode::<Vec<(Name, Application)>>(bytes, MAX_DIRECTORY)?.into_iter().collect();
+        Ok(())
+    }
+
+    /// Takes the decisions of a person. Their applications no longer wait. Returns true if any did.
+    pub fn decide(&mut self, decisions: BTreeMap<Name, Decision>) -> bool {
+        let before = self.applications.len();
+        self.applications.retain(|entity, _| !decisions.contains_key(entity));
+        self.decisions = decisions;
+        before != self.applications.len()
+    }
+
+    pub fn applications(&self) -> &Applications {
+        &self.applications
+    }
+
     /// Answers a request of `caller` at `now` (Unix nanoseconds). The caller of this function
     /// stores and publishes the directory before it sends a reply other than a refusal.
     pub fn answer(&mut self, caller: Name, request: JoinRequest, now: u64) -> JoinReply {
         let answered = match request {
             JoinRequest::Join(join) => self.join(caller, *join, now),
+            JoinRequest::Apply(application) => self.apply(caller, *application),
             JoinRequest::Leave => {
                 self.members.remove(&caller);
                 return JoinReply::Left;
             }
         };
         answered.unwrap_or_else(JoinReply::Refused)
+    }
+
+    fn apply(&mut self, caller: Name, application: Application) -> Result<JoinReply, String> {
+        let Application { label, expose, import, read, .. } = &application;
+        check_label(label).map_err(|error| error.to_string())?;
+        check_lists(expose, import, read).map_err(|error| error.to_string())?;
+        match self.decisions.get(&caller) {
+            Some(Decision::Approved(approval)) => return Ok(JoinReply::Approved(approval.clone())),
+            Some(Decision::Denied) => return Err("the domain's administrator denied it".into()),
+            None => {}
+        }
+        if self.applications.len() >= MAX_APPLICATIONS && !self.applications.contains_key(&caller) {
+            return Err(format!("{MAX_APPLICATIONS} machines wait already; have some approved or denied"));
+        }
+        self.applications.insert(caller, application);
+        Ok(JoinReply::Pending)
     }
 
     fn join(&mut self, caller: Name, join: Join, now: u64) -> Result<JoinReply, String> {

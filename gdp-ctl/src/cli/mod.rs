@@ -85,7 +85,11 @@ enum Command {
     Up(home::UpOptions),
     /// Print a line with which a robot, server or laptop joins the domain (`gdp-proxy join`).
     Invite(home::InviteOptions),
-    /// List the members of the domain and what they share.
+    /// Approve a machine that asks to join.
+    Approve(home::ApproveOptions),
+    /// Deny a machine that asks to join.
+    Deny(home::DenyOptions),
+    /// List the members of the domain, and machines that ask to become one.
     Robots(home::RobotsOptions),
     /// Revoke a member of the domain by its label.
     Revoke(home::RevokeOptions),
@@ -214,6 +218,8 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Up(options) => home::up(&options, context),
         Command::Invite(options) => home::invite(&options, context),
+        Command::Approve(options) => home::approve(&options, context),
+        Command::Deny(options) => home::deny(&options, context),
         Command::Robots(options) => home::robots(&options, context),
         Command::Revoke(options) => home::revoke(&options, context),
         Command::Apply(options) => home::apply(&options, context),

@@ -17,9 +17,11 @@ use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 49] = [
+const OUTPUTS: [(&str, Of); 51] = [
     ("error", of::<FailureOutput>),
     ("invite", of::<home::InviteOutput>),
+    ("approve", of::<home::DecisionOutput>),
+    ("deny", of::<home::DecisionOutput>),
     ("robots", of::<home::RobotsOutput>),
     ("revoke", of::<RevokeOutput>),
     ("apply", of::<home::ApplyOutput>),

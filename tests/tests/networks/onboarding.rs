@@ -6,6 +6,7 @@
 //!   192.168.5.7     10.9.0.2     10.9.0.1          10.9.1.2       192.168.5.7
 //! ```
 
+use std::io::Write as _;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -113,6 +114,36 @@ fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
             .is_some_and(|rows| rows.iter().all(|row| { row["label"] != "alice" || row["entity"].is_null() })),
         "{rows}"
     );
+    Ok(())
+}
+
+#[test]
+fn a_robot_without_an_invitation_of_its_own_waits_for_approval() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.ctl(&["invite"])?;
+    let mut robot = scene.apply("robot8", &line, &scene.robot.inside)?;
+    let fingerprint = shown_fingerprint(&mut robot)?;
+    robot.wait_until("its application", TIMEOUT, |_| {
+        let rows = scene.robots().ok()?;
+        let row = rows["members"].as_array()?.iter().find(|row| row["label"] == "robot8")?.clone();
+        (row["state"] == "pending" && row["fingerprint"] == *fingerprint && row["expose"][0] == "/chatter")
+            .then_some(())
+    })?;
+    let mut thief = scene.apply("robot9", &line, &scene.alice.inside)?;
+    let other = shown_fingerprint(&mut thief)?;
+    ensure!(other != fingerprint, "another machine");
+    thief.wait_until("its application", TIMEOUT, |_| scene.ctl(&["deny", "robot9"]).ok())?;
+    thief.wait_until("the denial", TIMEOUT, |thief| thief.stderr().contains("denied").then_some(()))?;
+
+    let mistyped = scene.typed(&["approve", "robot8"], &format!("{other}\n"))?;
+    ensure!(mistyped.contains("nothing is approved"), "{mistyped}");
+    ensure!(scene.typed(&["approve", "robot8"], &format!("{fingerprint}\n"))?.contains("is approved"));
+    robot.wait_until("the membership", TIMEOUT, |robot| robot.stdout().contains("Joined as robot8").then_some(()))?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
+    first(&mut scene.listen(&scene.server, "rt/robot8/chatter")?)?;
+    let again = scene.ctl(&["approve", "robot8", "--yes"]).unwrap_err().to_string();
+    ensure!(again.contains("gdp-ctl robots"), "{again}");
     Ok(())
 }
 
@@ -243,6 +274,22 @@ impl Scene {
         Ok(command)
     }
 
+    /// Starts to ask for membership with the line for applicants.
+    fn apply(&self, label: &str, line: &str, at: &Namespace) -> Result<Process> {
+        let mut command = self.join_command(label, line, at)?;
+        command.args(["--label", label, "--expose", "/chatter"]);
+        Process::spawn(label, command, self.files.path())
+    }
+
+    /// Runs a command with this input, and returns all that it says.
+    fn typed(&self, arguments: &[&str], input: &str) -> Result<String> {
+        let mut command = self.at_server(arguments)?;
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        child.stdin.take().context("its input")?.write_all(input.as_bytes())?;
+        let done = child.wait_with_output()?;
+        Ok(String::from_utf8_lossy(&[done.stdout, done.stderr].concat()).into_owned())
+    }
+
     fn robots(&self) -> Result<Value> {
         Ok(serde_json::from_str(&self.ctl(&["-j", "robots"])?)?)
     }
@@ -264,6 +311,14 @@ impl Scene {
         command.arg(self.tools.cyclone()).args([verb, "--topic", topic]).args(options);
         Ok(command)
     }
+}
+
+/// Waits until a machine shows its fingerprint.
+fn shown_fingerprint(machine: &mut Process) -> Result<String> {
+    machine.wait_until("a fingerprint", TIMEOUT, |machine| {
+        let text = machine.stderr();
+        Some(text.split_once("Fingerprint: ")?.1.lines().next()?.trim().to_owned())
+    })
 }
 
 fn has_message(listener: &Process) -> bool {

@@ -26,6 +26,8 @@ pub mod roles {
     pub const RIB: &str = "rib";
     /// Switch that has links with switches of other domains.
     pub const BORDER: &str = "border";
+    /// Machine that asks to become a member. Its invitation admits any number of machines.
+    pub const APPLICANT: &str = "applicant";
 
     /// Returns whether a holder of this role may be a switch of the domain.
     pub fn is_switch(role: &str) -> bool {
@@ -65,8 +67,8 @@ impl Claims for MemberCert {
 
 /// Invitation by a domain: the holder of `key` may admit one entity in this role.
 ///
-/// The first such entity that the domain's RIB sees is admitted. The validity bounds the use of the
-/// invitation; the admitted membership may last longer.
+/// The first such entity that the domain's RIB sees is admitted; of [applicants](roles::APPLICANT)
+/// each is. The validity bounds the use of the invitation; the admitted membership may last longer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Invite {
     pub domain: Name,

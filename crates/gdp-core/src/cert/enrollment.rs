@@ -73,20 +73,29 @@ impl Claims for Enrollment {
 
     fn check_bounds(&self) -> Result<(), CertError> {
         check_label(&self.label)?;
-        let rules = self.import.iter().chain(&self.read);
-        for TopicsOf { member, .. } in rules.clone().filter(|of| of.member != ALL_MEMBERS) {
-            check_label(member)?;
-        }
-        let lists = rules.map(|of| &of.topics).chain([&self.expose]);
-        let too_many = |count| count > MAX_PATTERNS;
-        if too_many(self.import.len()) || too_many(self.read.len()) || lists.clone().any(|list| too_many(list.len())) {
-            return Err(CertError::Malformed(format!("more than {MAX_PATTERNS} patterns or members in one list")));
-        }
-        if lists.flatten().any(|pattern| pattern.len() > MAX_PATTERN) {
-            return Err(CertError::Malformed(format!("a pattern of more than {MAX_PATTERN} bytes")));
-        }
+        check_lists(&self.expose, &self.import, &self.read)?;
         self.validity().check_order()
     }
+}
+
+/// Checks the bounds of the lists of an [`Enrollment`].
+pub fn check_lists(expose: &[String], import: &[TopicsOf], read: &[TopicsOf]) -> Result<(), CertError> {
+    let rules = import.iter().chain(read);
+    for TopicsOf { member, .. } in rules.clone().filter(|of| of.member != ALL_MEMBERS) {
+        check_label(member)?;
+    }
+    let lists = rules.map(|of| &of.topics[..]).chain([expose]);
+    let too_many = |count| count > MAX_PATTERNS;
+    if too_many(import.len()) || too_many(read.len()) || lists.clone().any(|list| too_many(list.len())) {
+        return Err(CertError::Malformed(format!("more than {MAX_PATTERNS} patterns or members in one list")));
+    }
+    let is_bad = |pattern: &String| pattern.len() > MAX_PATTERN || pattern.chars().any(char::is_control);
+    if lists.flatten().any(is_bad) {
+        return Err(CertError::Malformed(format!(
+            "a pattern has at most {MAX_PATTERN} bytes, without control characters"
+        )));
+    }
+    Ok(())
 }
 
 /// Checks that a text is a label: a segment of a ROS name of at most [`MAX_LABEL`] bytes.

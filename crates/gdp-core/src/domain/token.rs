@@ -101,8 +101,8 @@ impl Token {
         Ok(claims)
     }
 
-    #[cfg(test)]
-    pub(super) fn invite_signed(&self) -> &Signed<Invite> {
+    /// Returns the invitation as it was signed.
+    pub fn invite_signed(&self) -> &Signed<Invite> {
         &self.invite
     }
 

@@ -7,6 +7,7 @@ use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::Identity;
 
 use crate::directory::CatalogName;
+use crate::messages::Approval;
 use crate::{directory_card, join_card};
 
 const NOW: u64 = 1_800_000_000;
@@ -219,6 +220,44 @@ fn members_and_grants_outlive_a_restart() {
     again.restore(&home.service.to_bytes().unwrap()).unwrap();
     assert_eq!(again.rows(NOW), home.service.rows(NOW));
     assert!(again.restore(b"nonsense").is_err());
+}
+
+#[test]
+fn an_application_waits_until_a_person_decides() {
+    let mut home = Domain::new();
+    let token = home.invite("robot7", vec![], vec![]);
+    let machine = home.machine(&token);
+    let key = SigningKey::generate().unwrap().verify_key();
+    let label = "robot7".to_owned();
+    let application = Application { key, label, expose: vec!["/a".into()], import: vec![], read: vec![] };
+    let mut ask = |caller, application: &Application| {
+        home.service.answer(caller, JoinRequest::Apply(application.clone().into()), NANOS)
+    };
+    assert_eq!(ask(machine.entity, &application), JoinReply::Pending);
+    for bad in [
+        Application { label: "../x".into(), ..application.clone() },
+        Application { expose: vec!["/\u{1b}[2J".into()], ..application.clone() },
+        Application { expose: vec!["/a".into(); 65], ..application.clone() },
+    ] {
+        assert!(matches!(ask(machine.entity, &bad), JoinReply::Refused(_)), "{bad:?}");
+    }
+    let flood: Vec<_> =
+        (0..MAX_APPLICATIONS).map(|_| ask(Identity::generate("proxy").unwrap().name(), &application)).collect();
+    refused(flood.last().unwrap().clone(), "wait already");
+    assert_eq!(ask(machine.entity, &application), JoinReply::Pending, "who waits may ask again");
+
+    let stored = cbor::encode(&home.service.applications().iter().collect::<Vec<_>>()).unwrap();
+    let (invite, enrolling) = (token.invite_signed().clone(), token.enrolling().unwrap().clone());
+    let approval = Approval { invite, enrollment: enrolling.enrollment, call: enrolling.call };
+    let approved = Decision::Approved(Box::new(approval.clone()));
+    assert!(home.service.decide([(machine.entity, approved)].into()));
+    let reply = home.service.answer(machine.entity, JoinRequest::Apply(application.clone().into()), NANOS);
+    assert_eq!(reply, JoinReply::Approved(Box::new(approval)));
+    assert!(!home.service.applications().contains_key(&machine.entity));
+    assert!(!home.service.decide([(machine.entity, Decision::Denied)].into()), "it waits no more");
+    refused(home.service.answer(machine.entity, JoinRequest::Apply(application.into()), NANOS), "denied");
+    home.service.restore_applications(&stored).unwrap();
+    assert!(home.service.applications().contains_key(&machine.entity));
 }
 
 #[test]

@@ -3,10 +3,11 @@
 
 use anyhow::bail;
 use clap::Args;
+use gdp_core::cert::domain::roles;
 use gdp_core::cert::enrollment::{ALL_MEMBERS, check_label};
-use gdp_core::cert::{Claims as _, Delegation, Enrollment, Invite, TopicsOf, issue};
+use gdp_core::cert::{Delegation, Enrollment, Invite, Signed, TopicsOf, issue};
 use gdp_core::domain::{Enrolling, Token};
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_directory::join_card;
 use gdp_util::terminal::note;
@@ -14,15 +15,16 @@ use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{Home, HomeOptions, SERVER};
+use super::{APPLICANTS, Home, HomeOptions, SERVER};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::issuing::{parse_seconds, validity};
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Label of the new member: the namespace of its topics at others, such as robot7.
-    label: String,
+    /// Label of the new member: the namespace of its topics at others, such as robot7. Without a
+    /// label, the line is for any number of machines, which wait until you approve them.
+    label: Option<String>,
     /// Topics of the new member that others may read, such as '/camera/**'; repeat or separate by
     /// commas.
     #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
@@ -74,30 +76,57 @@ pub(super) struct Terms {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
-    let Options { label, expose, import, read, role, .. } = options;
-    if expose.is_empty() && import.is_empty() && read.is_empty() {
-        bail!("nothing would cross: say what {label} exposes, imports or reads, such as --expose '/camera/**'");
-    }
-    if label == SERVER {
-        bail!("{SERVER} is the label of the server's own proxy; choose another label");
-    }
-    expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
-    let import = imported(label, import)?;
-    let read = read.iter().map(|text| topics_of(text)).collect::<anyhow::Result<_>>()?;
-    let (label, role, expose) = (label.clone(), role.clone(), expose.clone());
-    let (duration, within) = (options.duration.into(), options.within.into());
     let address = home.address()?;
-    let terms = Terms { label: label.clone(), role, expose, import, read, duration, within };
+    let terms = options.terms()?;
+    let (label, is_standing) = (terms.label.clone(), terms.role == roles::APPLICANT);
     let (token, claims) = home.invite(terms, address.target()?, &address)?;
     let line = token.to_line();
     let Invite { not_after: use_until, member_until, .. } = claims;
     if !context.output.json {
-        let hours = options.within / 3600;
-        note(format_args!("One line, for {label}, once, within {hours} h. It holds a secret: send it as a password."));
-        note(format_args!("On {label}, run `sudo gdp-proxy join` and paste it:"));
+        if is_standing {
+            note("Machines that run `sudo gdp-proxy join` with this line wait until you approve them.");
+        } else {
+            let hours = options.within / 3600;
+            note(format_args!(
+                "One line, for {label}, once, within {hours} h. It holds a secret: send it as a password."
+            ));
+            note(format_args!("On {label}, run `sudo gdp-proxy join` and paste it:"));
+        }
     }
     let output = InviteOutput { label, line: line.to_string(), use_until, member_until };
     context.output.print(&output, || [line.to_string()])
+}
+
+impl Options {
+    /// Returns what the new member gets. Without a label, machines may only ask.
+    fn terms(&self) -> anyhow::Result<Terms> {
+        let Self { label, expose, import, read, role, .. } = self;
+        let is_empty = expose.is_empty() && import.is_empty() && read.is_empty();
+        let (duration, within) = (self.duration.into(), self.within.into());
+        let Some(label) = label else {
+            if !is_empty {
+                bail!("without a label, machines ask for topics themselves; name the label, or leave the topics out");
+            }
+            let (label, role) = (APPLICANTS.to_owned(), roles::APPLICANT.to_owned());
+            return Ok(Terms { label, role, expose: vec![], import: vec![], read: vec![], duration, within: duration });
+        };
+        if is_empty {
+            bail!("nothing would cross: say what {label} exposes, imports or reads, such as --expose '/camera/**'");
+        }
+        if [SERVER, APPLICANTS].contains(&label.as_str()) {
+            bail!("{label} is a label that the domain uses itself; choose another label");
+        }
+        expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
+        Ok(Terms {
+            label: label.clone(),
+            role: role.clone(),
+            expose: expose.clone(),
+            import: imported(label, import)?,
+            read: read.iter().map(|text| topics_of(text)).collect::<anyhow::Result<_>>()?,
+            duration,
+            within,
+        })
+    }
 }
 
 impl Home {
@@ -108,33 +137,36 @@ impl Home {
         at: LinkTarget,
         address: &super::DomainAddress,
     ) -> anyhow::Result<(Token, Invite)> {
+        let invited = SigningKey::generate()?;
+        let (invite, enrolling, claims) = self.sign_invitation(terms, invited.verify_key())?;
+        let token = Token::new(self.card()?.proof(), invite, invited, at, Some(address.switch))?;
+        Ok((token.enroll(enrolling)?, claims))
+    }
+
+    /// Signs an invitation to a key, and stores what was issued.
+    pub(super) fn sign_invitation(
+        &self,
+        terms: Terms,
+        invited: VerifyKey,
+    ) -> anyhow::Result<(Signed<Invite>, Enrolling, Invite)> {
         let Terms { label, role, expose, import, read, duration, within } = terms;
         check_label(&label)?;
         let authority = self.authority()?;
         let now = unix_seconds();
         let holds = |issue: &&Issue| {
-            let is_valid = issue.state(authority.revocation.as_ref(), now) == "valid" || issue.ends > now;
-            issue.label.as_ref() == Some(&label) && is_valid && !issue.is_revoked(authority.revocation.as_ref())
+            let is_used_or_open = issue.ends > now && !issue.is_revoked(authority.revocation.as_ref());
+            issue.label.as_ref() == Some(&label) && is_used_or_open
         };
         if authority.issued.iter().any(|issue| holds(&issue)) {
             bail!(
                 "{label} is a member or invited already; choose another label, or first run `gdp-ctl revoke {label}`"
             );
         }
-        let (invited, key) = (SigningKey::generate()?, authority.identity.key());
-        let (domain, serial) = (authority.identity.name(), authority.serial);
+        let (key, domain, serial) = (authority.identity.key(), authority.identity.name(), authority.serial);
         let (not_before, not_after) = validity(within.min(duration));
         let (_, member_until) = validity(duration);
-        let claims = Invite {
-            domain,
-            key: invited.verify_key(),
-            role: role.clone(),
-            serial,
-            not_before,
-            not_after,
-            member_until,
-        };
-        let join_service = Identity::new(SigningKey::load(&self.path("join.pem"))?, "tool").key().verify_key();
+        let claims = Invite { domain, key: invited, role: role.clone(), serial, not_before, not_after, member_until };
+        let join_service = SigningKey::load(&self.path("join.pem"))?.verify_key();
         let enrollment = Enrollment {
             domain,
             member: serial,
@@ -147,19 +179,17 @@ impl Home {
             not_before,
             not_after: member_until,
         };
-        enrollment.check_bounds()?;
         let name = join_card(key.verify_key())?.name();
-        let delegate = invited.verify_key();
-        let call = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
-        let enrollment = issue(key, &enrollment)?;
-        self.keep_enrollment(&label, &enrollment)?;
+        let call = Delegation { name, delegate: invited, publish: false, read: true, serial, not_before, not_after };
+        let (invite, enrollment) = (issue(key, &claims)?, issue(key, &enrollment)?);
         let enrolling = Enrolling { enrollment, call: issue(key, &call)? };
-        let token = Token::new(authority.identity.proof(), issue(key, &claims)?, invited, at, Some(address.switch))?;
-        let token = token.enroll(enrolling)?;
         self.record("invite", &label, &[serial])?;
+        if role != roles::APPLICANT {
+            self.keep_enrollment(&label, &enrolling.enrollment)?;
+        }
         let (to, label) = (To::Invited { role }, Some(label));
         authority.remember(Issue { serial, to, label, not_before, not_after, ends: member_until, file: None })?;
-        Ok((token, claims))
+        Ok((invite, enrolling, claims))
     }
 }
 

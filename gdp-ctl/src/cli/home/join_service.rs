@@ -1,11 +1,13 @@
 //! `gdp-ctl join-service`: serves the domain's join service and publishes its directory. The rules
 //! are in `gdp-directory`.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publisher, Reliability};
+use gdp_core::cbor;
 use gdp_core::cert::{AdCert, Membership, Revocation};
 use gdp_core::domain::Credentials;
 use gdp_core::identity::{Identity, SigningKey};
@@ -18,7 +20,7 @@ use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_nanos;
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::{Home, HomeOptions, enrollments};
+use super::{Home, HomeOptions, applications, enrollments};
 use crate::cli::issuance_log::newest_revocation;
 
 /// How often the directory is made again, because certificates expire and are renewed.
@@ -72,6 +74,12 @@ pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
         Err(error) if error.is_not_found() => {}
         Err(error) => return Err(error.into()),
     }
+    let applications = home.path(applications::APPLICATIONS);
+    match secret_file::read(&applications, MAX_DIRECTORY) {
+        Ok(bytes) => service.restore_applications(&bytes).with_context(|| applications.display().to_string())?,
+        Err(error) if error.is_not_found() => {}
+        Err(error) => return Err(error.into()),
+    }
     update(home, &mut service)?;
     Ok(service)
 }
@@ -84,7 +92,8 @@ fn update(home: &Home, service: &mut JoinService) -> anyhow::Result<bool> {
     for enrollment in home.signed_enrollments()? {
         enrolled |= service.enroll(enrollment);
     }
-    Ok(revoked || enrolled)
+    let decided = service.decide(home.decisions()?);
+    Ok(revoked || enrolled || decided)
 }
 
 /// Returns the newest revocation of the domain, which lies beside its card.
@@ -94,9 +103,9 @@ fn revocation(home: &Home) -> anyhow::Result<Option<Revocation>> {
 
 async fn serve(home: Home) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
-    let revoked = home.revocation_path();
+    let signed = [home.revocation_path(), home.path(enrollments::FILE), home.path(applications::DECISIONS)];
     // Created before the file is read, so that no change is missed.
-    let mut changed = FileSet::new(&watcher, [revoked.as_path(), &home.path(enrollments::FILE)]);
+    let mut changed = FileSet::new(&watcher, signed.iter().map(PathBuf::as_path));
     let service = stored(&home)?;
     let domain = *home.card()?.owner_key();
     let node = connect(&home).await?;
@@ -128,11 +137,18 @@ impl JoinServer {
     /// Answers a call. A new member is stored and published before it knows.
     async fn answer(&mut self, call: Call) -> anyhow::Result<()> {
         let caller = call.client();
+        let before = self.service.applications().clone();
         let reply = match JoinRequest::from_bytes(call.body()) {
             Ok(request) => self.service.answer(caller, request, unix_nanos()),
             Err(error) => JoinReply::Refused(format!("the request cannot be read: {error}")),
         };
         match &reply {
+            JoinReply::Approved(_) => {}
+            JoinReply::Pending if self.service.applications() == &before => {}
+            JoinReply::Pending => {
+                tracing::info!(%caller, "asks to join; see `gdp-ctl robots`");
+                self.store()?;
+            }
             JoinReply::Refused(reason) => tracing::warn!(%caller, "refused to join: {reason}"),
             JoinReply::Joined { .. } | JoinReply::Left => {
                 tracing::info!(%caller, "{}", if reply == JoinReply::Left { "left" } else { "joined" });
@@ -147,6 +163,8 @@ impl JoinServer {
     }
 
     fn store(&self) -> anyhow::Result<()> {
+        let waiting: Vec<_> = self.service.applications().iter().collect();
+        secret_file::replace(&self.home.path(applications::APPLICATIONS), &cbor::encode(&waiting)?)?;
         Ok(secret_file::replace(&self.home.path("directory.members"), &self.service.to_bytes()?)?)
     }
 

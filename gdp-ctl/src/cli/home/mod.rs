@@ -8,11 +8,13 @@
 //! | `join.pem`, `join.member`, `join.cert`, `join.delegation`, `directory.*` | the join service |
 //! | `enrollments` | the newest Enrollment of each label |
 //! | `directory.members` | the members that have joined |
+//! | `applications`, `decisions` | machines that ask to join, and what became of them |
 //! | `audit.log` | what was issued and revoked, a JSON object a line |
 //! | `address` | the address that members dial, and the switch there |
 //! | `server/` | keys and configuration of this machine's own proxy |
 
 mod admin;
+mod applications;
 mod create;
 mod enrollments;
 mod fleet;
@@ -35,6 +37,7 @@ use serde::{Deserialize, Serialize};
 use super::domain::Authority;
 
 pub use admin::{BackupOutput, LogOutput};
+pub use applications::{ApproveOptions, DecisionOutput, DenyOptions, approve, deny};
 pub use fleet::ApplyOutput;
 pub use invite::InviteOutput;
 pub use robots::RobotsOutput;
@@ -48,6 +51,9 @@ pub use {up::Options as UpOptions, up::run as up};
 
 /// Label of this machine's own proxy, from which members import.
 const SERVER: &str = "server";
+
+/// Label of the invitation with which machines ask to join.
+const APPLICANTS: &str = "applicants";
 
 const DAY: u64 = 86400;
 const HOUR: u64 = 3600;

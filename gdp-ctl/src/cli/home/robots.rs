@@ -4,7 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use clap::Args;
 use gdp_core::cert::TopicsOf;
+use gdp_core::cert::domain::roles;
 use gdp_core::name::NamePrefix;
+use gdp_directory::fingerprint;
+use gdp_directory::messages::Application;
 use gdp_directory::service::MemberRow;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
@@ -32,11 +35,13 @@ pub struct RobotsOutput {
 #[derive(Debug, Serialize, JsonSchema)]
 struct MemberOutput {
     label: String,
-    /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `expired`
-    /// or `revoked`.
+    /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `pending`,
+    /// `expired` or `revoked`.
     state: &'static str,
     /// None if it has not joined.
     entity: Option<Name>,
+    /// Of a machine that waits for approval: what it shows, to be compared.
+    fingerprint: Option<String>,
     expose: Vec<String>,
     /// Each with the label of the other member.
     import: Vec<String>,
@@ -52,7 +57,11 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let joined: BTreeMap<u64, MemberRow> =
         join_service::stored(&home)?.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
-    let is_member = |issue: &&Issue| matches!(issue.to, To::Invited { .. }) && issue.label.is_some();
+    let of = |rules: &[TopicsOf]| -> Vec<String> {
+        rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect()
+    };
+    let is_member =
+        |issue: &&Issue| matches!(&issue.to, To::Invited { role } if role != roles::APPLICANT) && issue.label.is_some();
     let member = |issue: &Issue| {
         let row = joined.get(&issue.serial);
         let state = match (row, &online) {
@@ -63,27 +72,43 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             (None, _) if now > issue.not_after => "expired",
             (None, _) => "invited",
         };
-        let of = |rules: &[TopicsOf]| rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect();
         MemberOutput {
             label: issue.label.clone().unwrap_or_default(),
             state,
             entity: row.map(|row| row.entity),
+            fingerprint: None,
             expose: row.map_or_else(Vec::new, |row| row.enrollment.expose.clone()),
             import: row.map_or_else(Vec::new, |row| of(&row.enrollment.import)),
             read: row.map_or_else(Vec::new, |row| of(&row.enrollment.read)),
             until: issue.ends,
         }
     };
-    let members: Vec<MemberOutput> = authority.issued.iter().filter(is_member).map(member).collect();
+    let decisions = home.decisions()?;
+    let waiting = home.applications()?.into_iter().filter(|(entity, _)| !decisions.contains_key(entity));
+    let waiting = waiting.map(|(entity, Application { label, expose, import, read, .. })| MemberOutput {
+        label,
+        state: "pending",
+        entity: Some(entity),
+        fingerprint: Some(fingerprint(entity)),
+        expose,
+        import: of(&import),
+        read: of(&read),
+        until: 0,
+    });
+    let members = authority.issued.iter().filter(is_member).map(member).chain(waiting).collect();
     let output = RobotsOutput { members };
     context.output.print(&output, || {
         let row = |member: &MemberOutput| {
             let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
-            let days = member.until.saturating_sub(now).div_ceil(86400);
+            let entity = member.fingerprint.clone().unwrap_or(entity);
+            let ends = match member.until {
+                0 => format!("gdp-ctl approve {}", member.label),
+                until => format!("{} d", until.saturating_sub(now).div_ceil(86400)),
+            };
             let lists = [&member.expose, &member.import, &member.read];
             let [expose, import, read] =
                 lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
-            [member.label.clone(), member.state.to_owned(), entity, expose, import, read, format!("{days} d")]
+            [member.label.clone(), member.state.to_owned(), entity, expose, import, read, ends]
         };
         let rows: Vec<_> = output.members.iter().map(row).collect();
         output::table(["label", "state", "entity", "exposes", "imports", "reads", "ends in"], &rows)
