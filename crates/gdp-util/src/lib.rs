@@ -1,6 +1,7 @@
 //! Helpers that the daemon, the proxy and the command line share. They do not depend on GDP.
 //!
 //! - [`backoff`]: delays between attempts
+//! - [`date`]: times for people
 //! - [`descriptors`]: the limit on open file descriptors (feature `descriptors`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
@@ -16,6 +17,7 @@
 
 pub mod backoff;
 #[cfg(feature = "descriptors")]
+pub mod date;
 pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]

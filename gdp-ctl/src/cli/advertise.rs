@@ -21,6 +21,7 @@ use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 use gdp_util::unix_time::unix_seconds;
+use gdp_util::date::rounded;
 
 /// Validity in seconds of the RtCert that permits the switch to carry the entity's statement.
 const ROUTE_SECONDS: u64 = 300;
@@ -85,7 +86,7 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
             "{:#} is advertised by {:#} at switch {switch:#} for {} s",
             card.name(),
             entity.name(),
-            options.lifetime
+            rounded(u64::from(options.lifetime))
         )]
     })
 }

@@ -12,6 +12,7 @@ use super::super::issuance_log::IssuanceLog;
 use super::super::output;
 use super::super::revocation::RevocationOutput;
 use super::ledger::{Grant, Holder};
+use gdp_util::date::relative;
 use crate::cli::context::Context;
 use gdp_util::unix_time::unix_seconds;
 
@@ -38,7 +39,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
                 seconds => format!("{seconds} s"),
             };
             let holds = match state(grant) {
-                "valid" => format!("for {left}"),
+                "valid" => format!("until {}", relative(grant.not_after, now)),
+                "expired" => format!("expired {}", relative(grant.not_after, now)),
+                "not yet" => format!("from {}", relative(grant.not_before, now)),
                 other => other.to_owned(),
             };
             [grant.serial.to_string(), right(grant).into(), holder(&grant.to), holds, grant.file.display().to_string()]
