@@ -12,12 +12,13 @@
 //! - [`terminal`]: output lines for users (feature `program`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
+//! - [`yaml`]: strict YAML files, with errors for people (feature `yaml`)
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod backoff;
-#[cfg(feature = "descriptors")]
 pub mod date;
+#[cfg(feature = "descriptors")]
 pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]
@@ -31,3 +32,5 @@ pub mod panics;
 pub mod terminal;
 pub mod ticks;
 pub mod unix_time;
+#[cfg(feature = "yaml")]
+pub mod yaml;
