@@ -28,7 +28,10 @@ use tokio::signal::unix::{SignalKind, signal};
 #[command(version)]
 struct Arguments {
     /// Configuration file: the topics, services and actions to carry, and their keys
-    #[arg(long, value_name = "FILE", required_unless_present = "schema")]
+    #[arg(value_name = "FILE", required_unless_present_any = ["config", "schema"])]
+    file: Option<PathBuf>,
+    /// The same as FILE
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
     config: Option<PathBuf>,
     /// Check the configuration and the files that it names, then exit
     #[arg(long)]
@@ -58,7 +61,8 @@ fn main() -> ExitCode {
     match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            terminal::note(format_args!("gdp-proxy: {error:#}"));
+            let causes = terminal::join_causes(error.chain().map(ToString::to_string));
+            terminal::note(format_args!("gdp-proxy: {causes}"));
             ExitCode::FAILURE
         }
     }
@@ -75,7 +79,7 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> Result<()> {
-    let Some(path) = arguments.config else {
+    let Some(path) = arguments.file.or(arguments.config) else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
     if let Err(error) = descriptors::raise_limit() {

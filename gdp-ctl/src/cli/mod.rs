@@ -46,7 +46,7 @@ use gdp_util::terminal::{self, note};
 use crate::client::ClientError;
 use context::Context;
 use gdp_dataplane::object;
-use output::{FailureOutput, Output, join_causes};
+use output::{FailureOutput, Output};
 
 const VERSION: &str = if object::is_embedded() {
     concat!(env!("CARGO_PKG_VERSION"), " (with XDP)")
@@ -162,7 +162,7 @@ pub fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            note(format_args!("gdp-ctl: {}", join_causes(error.chain().map(ToString::to_string))));
+            note(format_args!("gdp-ctl: {}", terminal::join_causes(error.chain().map(ToString::to_string))));
             // If stdout cannot be written, the line on stderr must suffice.
             let _ = context.output.print_failure(&error);
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));

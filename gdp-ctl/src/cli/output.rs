@@ -57,7 +57,7 @@ impl Output {
         let causes: Vec<_> = error.chain().map(|cause| ErrorReply::new(code, &cause.to_string())).collect();
         let remedies: Vec<_> = causes.iter().filter_map(|cause| cause.remedy.clone()).collect();
         let remedy = Some(remedies.join("; ")).filter(|remedy| !remedy.is_empty());
-        let reason = join_causes(causes.into_iter().map(|cause| cause.reason));
+        let reason = terminal::join_causes(causes.into_iter().map(|cause| cause.reason));
         self.print(&FailureOutput { error: ErrorReply { code, reason, remedy } }, || None)
     }
 
@@ -65,15 +65,6 @@ impl Output {
     pub fn tell(&self, line: impl FnOnce() -> String) -> anyhow::Result<()> {
         if self.json { Ok(()) } else { terminal::print([line()]).context("cannot write to stdout") }
     }
-}
-
-/// Joins an error's causes on one line, omitting causes that another cause already contains.
-pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
-    causes.fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        said if said.contains(&cause) => text,
-        _ => format!("{text}: {cause}"),
-    })
 }
 
 /// Writes a new file that other users may read. Never overwrites an existing file.
