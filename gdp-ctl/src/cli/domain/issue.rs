@@ -124,7 +124,7 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let card_file = card_file_of(&key_file);
     expect_new(&card_file)?;
     let identity = Identity::new(SigningKey::generate()?, "domain");
-    identity.key().save_new(&key_file)?;
+    identity.save_new(&key_file)?;
     let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
     output::write_new(&card_file, &card.to_json())?;
     let name = identity.name();
