@@ -10,6 +10,7 @@ pub(crate) mod credential_file;
 mod doctor;
 mod domain;
 mod dump;
+mod entity;
 mod grant;
 mod issuance_log;
 mod issuing;

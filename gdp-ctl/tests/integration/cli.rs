@@ -138,6 +138,26 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["trace", "75e"], 3, &["no daemon answers"]),
         (&["ping", "75e", "-c", "1"], 3, &["no daemon answers"]),
         (&["ping", "75e", "-i", "0"], 2, &["is not a number of seconds from 0.02 to 3600"]),
+        (
+            &["grant", "revoke", "chatter.card", "--entity", "75e", "--key", "owner.pem"],
+            1,
+            &["nothing was granted to 75e"],
+        ),
+        (&["grant", "revoke", "chatter.card", "--entity", "ROBOT", "--key", "owner.pem"], 2, &["64 hex", "key show"]),
+        (&["grant", "renew", "chatter.card", "--key", "owner.pem"], 1, &["no valid grant", "gdp-ctl grant add"]),
+        (&["grant", "renew", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
+        (&["grant", "renew", "--key", "owner.pem"], 2, &["<FILE|CARD>"]),
+        (&["domain", "admit", "--key", "d.pem", &zero, "--role", "rib", "--days", "7", "-o", "x"], 2, &["--days"]),
+        (
+            &["domain", "invite", "--key", "d.pem", "--role", "arm", "--at", "edge:31415"],
+            2,
+            &["did you mean udp://edge:31415?"],
+        ),
+        (
+            &["domain", "admit", "--key", "d.pem", "ROBOT", "--role", "rib", "-o", "x"],
+            2,
+            &["64 hex digits", "key show"],
+        ),
         (&["peer", "list"], 3, &["no daemon answers"]),
         (&["monitor"], 3, &["no daemon answers"]),
         (&["topology", "--names"], 2, &["--dot"]),
@@ -147,7 +167,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (
             &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "--entity", "75e", "-o", "x"],
             2,
-            &["64 hex digits"],
+            &["64 hex digits", "gdp-ctl key show FILE", "the key's file"],
         ),
         (&["advertise", "chatter.card", "--key", "owner.pem", "--for", "soon"], 2, &["is not a time"]),
         (&["serve", "--config", "none.yaml"], 1, &["none.yaml"]),
@@ -170,6 +190,41 @@ fn a_failure_is_an_object_for_programs() {
     assert_eq!(none["code"], "NoDaemon");
     assert!(none["reason"].as_str().unwrap().contains("no daemon answers at"), "{none}");
     assert!(none["remedy"].as_str().unwrap().starts_with("start one with `gdp-ctl serve`"), "{none}");
+#[test]
+fn a_key_states_its_kind_and_stands_for_its_entity() {
+    let user = User::new();
+    let robot = user.text(&["key", "generate", "robot.pem", "--kind", "proxy"]);
+    let shown = user.json(&["key", "show", "robot.pem"]);
+    let name = shown["names"]["proxy"].as_str().unwrap();
+    assert_eq!(robot, format!("proxy {name} robot.pem\n"));
+    assert_eq!(user.text(&["key", "show", "robot.pem"]), robot);
+    let tool = shown["names"]["tool"].as_str().unwrap();
+    assert_eq!(user.text(&["key", "show", "robot.pem", "--kind", "tool"]), format!("tool {tool} robot.pem\n"));
+
+    // Without its line, the file is as earlier releases wrote it.
+    let text = std::fs::read_to_string(user.file("robot.pem")).unwrap();
+    std::fs::copy(user.file("robot.pem"), user.file("bare.pem")).unwrap();
+    std::fs::write(user.file("bare.pem"), text.strip_prefix("kind: proxy\n").unwrap()).unwrap();
+    let bare = user.text(&["key", "show", "bare.pem"]);
+    assert!(bare.starts_with("public key  ") && bare.contains(&format!("\nas proxy    {name}\n")), "{bare}");
+    assert_eq!(user.text(&["key", "show", "bare.pem", "--kind", "proxy"]), format!("proxy {name} bare.pem\n"));
+
+    user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    user.card("/chatter");
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--read", "-o", "chatter.grant", "--entity"];
+    let refused = user.refusal(2, &[&add[..], &["bare.pem"]].concat());
+    assert!(refused.contains("bare.pem does not state its kind"), "{refused}");
+    assert_eq!(user.json(&[&add[..], &["robot.pem"]].concat())["claims"]["to"]["entity"], name);
+}
+
+#[test]
+fn help_is_in_groups() {
+    let help = User::new().text(&["--help"]);
+    let at = |title: &str| help.find(&format!("\n{title}:\n")).unwrap_or_else(|| panic!("{title}: {help}"));
+    assert!(at("Everyday") < at("Rights") && at("Rights") < at("Inside") && at("Inside") < at("Options"), "{help}");
+    assert!(help.contains("\n  topic      List, measure") && help.contains("Exit status"), "{help}");
+}
+
     let missing = user.failure(1, &["key", "show", "none.pem"]);
     assert_eq!((&missing["code"], &missing["remedy"]), (&"Failed".into(), &Value::Null));
     let usage = user.failure(2, &["frobnicate"]);

@@ -43,9 +43,13 @@ fn members_are_admitted_listed_and_taken_back() {
     assert!(user.refusal(1, &show).contains("revoked: the MemberCert"));
     assert_eq!(states(&user.json(&["domain", "show", "home/domain.card"])), ["revoked"]);
     // A renewal makes it a member again.
-    admit(&user, &switch, "switch", "s1.renewed");
+    admit(&user, "s1.pem", "switch", "s1.renewed");
     let shown = user.json(&["domain", "show", "s1.renewed", "--card", "home/domain.card"]);
     assert_eq!(shown["verified"], true);
+    let by_digits = user.json(&["domain", "revoke", "--key", "home/domain.pem", "--entity", &switch[..8]]);
+    assert_eq!(by_digits["revoked"].as_array().unwrap().len(), 2);
+    let nobody = user.refusal(1, &["domain", "revoke", "--key", "home/domain.pem", "--entity", "owner.pem"]);
+    assert!(nobody.contains("nothing was issued to") && nobody.contains("gdp-ctl domain show"), "{nobody}");
     let all = user.json(&["domain", "revoke", "--key", "home/domain.pem", "--all"]);
     assert!(all["revoked"].as_array().unwrap().is_empty() && all["number"].as_u64() > Some(1_000_000), "{all}");
     assert_eq!(states(&user.json(&["domain", "show", "home/domain.card"])), ["revoked", "revoked"]);

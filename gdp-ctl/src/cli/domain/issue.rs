@@ -20,7 +20,8 @@ use super::super::output;
 use super::ledger::{Issue, To};
 use crate::cli::context::Context;
 use crate::cli::domain::authority::{Authority, card_file_of, expect_new};
-use crate::cli::issuing::validity;
+use crate::cli::entity::parse_entity;
+use crate::cli::issuing::{parse_seconds, validity};
 use gdp_util::unix_time::unix_seconds;
 
 const DAY: u64 = 86400;
@@ -54,7 +55,8 @@ impl KeyOptions {
 pub struct AdmitOptions {
     #[command(flatten)]
     key: KeyOptions,
-    /// New member: 64 hex digits, as printed by `gdp-ctl key show`.
+    /// New member: its name, as printed by `gdp-ctl key show`, or its key file.
+    #[arg(value_name = "NAME|FILE", value_parser = parse_entity)]
     entity: Name,
     /// Role: `switch`, `rib` or `border` for forwarders, or any other for use in grants: 1 to 32 of
     /// a-z, 0-9, _ and -.
@@ -79,8 +81,8 @@ pub struct InviteOptions {
     /// interface.
     #[arg(long, value_name = "LINK")]
     at: LinkTarget,
-    /// Switch at that address.
-    #[arg(long, value_name = "NAME")]
+    /// Switch at that address: its name, as printed by `gdp-ctl status` there, or its key file.
+    #[arg(long, value_name = "NAME|FILE", value_parser = parse_entity)]
     switch: Option<Name>,
     /// Validity of the invitation, in hours.
     #[arg(long, value_name = "N", default_value = "24", value_parser = clap::value_parser!(u32).range(1..))]
