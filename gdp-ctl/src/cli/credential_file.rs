@@ -102,6 +102,15 @@ impl CredentialFile {
         })
     }
 
+    /// Returns the delegation by which a delegate issued a grant.
+    pub fn delegation(&self) -> Option<Signed<Delegation>> {
+        match self {
+            Self::Ad(issued) => issued.delegation.clone(),
+            Self::Read(reading) => reading.grant.delegation.clone(),
+            _ => None,
+        }
+    }
+
     /// Returns the kind of certificate, its claims and those that it depends on, without verifying
     /// them.
     pub fn describe(&self) -> Result<CertificateOutput, CertError> {

@@ -78,6 +78,26 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// Replaces a file atomically, and keeps its permissions. A link stays, and its target is replaced.
+pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
+    let target = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
+    let mut new_name = target.file_name().unwrap_or_default().to_owned();
+    new_name.push(format!(".{}.tmp", std::process::id()));
+    let new = target.with_file_name(new_name);
+    let replaced = (|| {
+        let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&new)?;
+        file.set_permissions(target.metadata()?.permissions())?;
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        std::fs::rename(&new, &target)
+    })();
+    if replaced.is_err() {
+        // The file may not exist.
+        let _ = std::fs::remove_file(&new);
+    }
+    replaced.with_context(|| format!("cannot replace {}", path.display()))
+}
+
 /// Formats left-aligned columns under a heading. Cells are escaped before their width is measured.
 pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
     let escaped = |row: &[String; N]| row.each_ref().map(|cell| Escaped(cell).to_string());

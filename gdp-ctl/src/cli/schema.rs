@@ -17,7 +17,7 @@ use super::{advertise, doctor, domain, dump, grant, key, name, ping, query, serv
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 42] = [
+const OUTPUTS: [(&str, Of); 43] = [
     ("error", of::<FailureOutput>),
     ("status", of::<StatusReply>),
     ("link list", of::<LinksReply>),
@@ -38,6 +38,7 @@ const OUTPUTS: [(&str, Of); 42] = [
     ("name show", of::<name::CardOutput>),
     ("cert show", of::<CertificateOutput>),
     ("grant add", of::<IssuedOutput>),
+    ("grant renew", of::<IssuedOutput>),
     ("grant list", of::<grant::GrantsOutput>),
     ("grant revoke", of::<RevokeOutput>),
     ("domain init", of::<domain::InitOutput>),
