@@ -90,7 +90,13 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&meta, 1, &["--meta", "site=\\u{202e}", "control characters"]),
         (&["key", "show", "open.pem"], 1, &["chmod 600"]),
         (&["key", "show", "junk"], 1, &["junk"]),
-        (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
+        (&["key", "show", "chatter.card"], 1, &["chatter.card: it is a name card, not a private key"]),
+        (&["name", "show", "junk"], 1, &["junk", "not a name card", "gdp-ctl name create"]),
+        (
+            &["name", "show", "robot.pem"],
+            1,
+            &["not a name card", "robot.pem: it is a private key", "gdp-ctl name create"],
+        ),
         (
             &[
                 "name",
@@ -110,10 +116,11 @@ fn what_goes_wrong_is_named_with_its_remedy() {
             &["--meta topic is given twice"],
         ),
         (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
+        (&["cert", "show", "chatter.card"], 1, &["chatter.card: it is a name card, not a certificate"]),
         (
             &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),
             1,
-            &["robot.pem is not the owner", "--delegation"],
+            &["robot.pem is not the owner's key of chatter.card (/chatter)", "--delegation"],
         ),
         (&[&add[..], &["--publish", "--read", "--key", "owner.pem"]].concat(), 1, &["make two"]),
         (&[&add[..], &["--key", "owner.pem"]].concat(), 2, &["--publish"]),
@@ -131,13 +138,6 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["grant", "revoke", "chatter.card", "7", "--key", "robot.pem"], 1, &["robot.pem is not the owner"]),
         (&["grant", "revoke", "chatter.card", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
         (&["grant", "revoke", "chatter.card", "--entity", &zero, "--key", "owner.pem"], 1, &["nothing was granted to"]),
-        (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "grant add"]),
-        (&["query", "not-hex"], 1, &["neither a file nor the beginning of a name"]),
-        (&["status"], 3, &["no daemon answers", "gdp-ctl serve"]),
-        (&["query", "75e"], 3, &["no daemon answers"]),
-        (&["trace", "75e"], 3, &["no daemon answers"]),
-        (&["ping", "75e", "-c", "1"], 3, &["no daemon answers"]),
-        (&["ping", "75e", "-i", "0"], 2, &["is not a number of seconds from 0.02 to 3600"]),
         (
             &["grant", "revoke", "chatter.card", "--entity", "75e", "--key", "owner.pem"],
             1,
@@ -158,6 +158,13 @@ fn what_goes_wrong_is_named_with_its_remedy() {
             2,
             &["64 hex digits", "key show"],
         ),
+        (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "grant add"]),
+        (&["query", "not-hex"], 1, &["neither a file nor the beginning of a name"]),
+        (&["status"], 3, &["no daemon answers", "gdp-ctl serve", "A robot needs none", "--switch udp://HOST"]),
+        (&["query", "75e"], 3, &["no daemon answers"]),
+        (&["trace", "75e"], 3, &["no daemon answers"]),
+        (&["ping", "75e", "-c", "1"], 3, &["no daemon answers"]),
+        (&["ping", "75e", "-i", "0"], 2, &["is not a number of seconds from 0.02 to 3600"]),
         (&["peer", "list"], 3, &["no daemon answers"]),
         (&["monitor"], 3, &["no daemon answers"]),
         (&["topology", "--names"], 2, &["--dot"]),
@@ -183,13 +190,6 @@ fn what_goes_wrong_is_named_with_its_remedy() {
     }
 }
 
-#[test]
-fn a_failure_is_an_object_for_programs() {
-    let user = User::new();
-    let none = user.failure(3, &["status"]);
-    assert_eq!(none["code"], "NoDaemon");
-    assert!(none["reason"].as_str().unwrap().contains("no daemon answers at"), "{none}");
-    assert!(none["remedy"].as_str().unwrap().starts_with("start one with `gdp-ctl serve`"), "{none}");
 #[test]
 fn a_key_states_its_kind_and_stands_for_its_entity() {
     let user = User::new();
@@ -225,6 +225,13 @@ fn help_is_in_groups() {
     assert!(help.contains("\n  topic      List, measure") && help.contains("Exit status"), "{help}");
 }
 
+#[test]
+fn a_failure_is_an_object_for_programs() {
+    let user = User::new();
+    let none = user.failure(3, &["status"]);
+    assert_eq!(none["code"], "NoDaemon");
+    assert!(none["reason"].as_str().unwrap().contains("no daemon answers at"), "{none}");
+    assert!(none["remedy"].as_str().unwrap().starts_with("start one with `gdp-ctl serve`"), "{none}");
     let missing = user.failure(1, &["key", "show", "none.pem"]);
     assert_eq!((&missing["code"], &missing["remedy"]), (&"Failed".into(), &Value::Null));
     let usage = user.failure(2, &["frobnicate"]);
