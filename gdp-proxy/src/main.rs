@@ -2,14 +2,16 @@
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+use std::io::IsTerminal as _;
 use std::num::NonZeroU16;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::{Parser, Subcommand};
 use gdp_proxy::config::schema;
+use gdp_proxy::join::{Home, InvitationSource};
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
@@ -25,8 +27,10 @@ use tokio::signal::unix::{SignalKind, signal};
 /// Exit status: 0 stopped by a signal or check passed, 1 failure, 2 wrong usage. The environment
 /// variable RUST_LOG selects the log messages on stderr.
 #[derive(Parser)]
-#[command(version)]
+#[command(version, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
     /// Configuration file: the topics, services and actions to carry, and their keys
     #[arg(value_name = "FILE", required_unless_present_any = ["config", "schema"])]
     file: Option<PathBuf>,
@@ -49,6 +53,37 @@ struct Arguments {
     /// File for counters, rewritten every second as one JSON object
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Join a trust domain with an invitation of `gdp-ctl invite`, then run. The keys are made here
+    ///
+    /// Without LINE or --file, the invitation comes from the variable GDP_INVITATION, or from
+    /// stdin. A LINE in the arguments is visible to other users of this machine.
+    Join {
+        /// The invitation
+        #[arg(value_name = "LINE", conflicts_with = "file")]
+        line: Option<String>,
+        /// File with the invitation
+        #[arg(long, value_name = "FILE")]
+        file: Option<PathBuf>,
+        /// Folder for keys and configuration [default: /etc/gdp for root, else ~/.config/gdp]
+        #[arg(long, value_name = "FOLDER")]
+        dir: Option<PathBuf>,
+        /// End after joining; start the proxy later with the printed configuration
+        #[arg(long)]
+        no_run: bool,
+        /// File for counters, rewritten every second as one JSON object
+        #[arg(long, value_name = "FILE")]
+        stats: Option<PathBuf>,
+    },
+    /// Leave the trust domain: end the membership of this machine and remove its files
+    Leave {
+        /// Folder of keys and configuration [default: /etc/gdp for root, else ~/.config/gdp]
+        #[arg(long, value_name = "FOLDER")]
+        dir: Option<PathBuf>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -79,9 +114,55 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> Result<()> {
-    let Some(path) = arguments.file.or(arguments.config) else {
+    let arguments = match arguments.command {
+        Some(Command::Join { line, file, dir, no_run, stats }) => {
+            let home = Home::new(dir)?;
+            join(&home, line, file)?;
+            if no_run {
+                return Ok(());
+            }
+            Arguments { command: None, config: Some(home.config()), stats, ..arguments }
+        }
+        Some(Command::Leave { dir }) => {
+            let home = Home::new(dir)?;
+            return Ok(terminal::print(once()?.block_on(home.leave())?)?);
+        }
+        None => arguments,
+    };
+    let Some(path) = arguments.file.clone().or(arguments.config.clone()) else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
+    carry(&path, arguments)
+}
+
+/// Joins with the invitation, and prints what the machine now has.
+fn join(home: &Home, line: Option<String>, file: Option<PathBuf>) -> Result<()> {
+    let source = match (line, file, std::env::var("GDP_INVITATION")) {
+        (Some(line), ..) if line != "-" => {
+            terminal::note("gdp-proxy: warning: other users of this machine can read the invitation in its arguments");
+            InvitationSource::Line(line)
+        }
+        (_, Some(file), _) => InvitationSource::File(file),
+        (None, None, Ok(line)) => InvitationSource::Line(line),
+        _ => {
+            if std::io::stdin().is_terminal() {
+                terminal::note("Paste the invitation, then press Enter:");
+            }
+            InvitationSource::Stdin
+        }
+    };
+    let joined = once()?.block_on(home.join(&source.read()?))?;
+    Ok(terminal::print(joined.lines)?)
+}
+
+/// Returns a runtime for one exchange with the domain.
+fn once() -> Result<tokio::runtime::Runtime> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+    runtime.context("cannot start the runtime")
+}
+
+/// Runs the proxy with this configuration, or checks it.
+fn carry(path: &Path, arguments: Arguments) -> Result<()> {
     if let Err(error) = descriptors::raise_limit() {
         tracing::warn!(%error, "the limit on open files stays as it was");
     }
@@ -95,8 +176,8 @@ fn run(arguments: Arguments) -> Result<()> {
     let _entered = runtime.enter();
     let watcher = FileWatcher::start();
     // Created before the file is read, so that no change is missed.
-    let watch = Watch::new(&path, &watcher).context("cannot listen for SIGHUP")?;
-    let loaded = || Loaded::load(&path, &watcher);
+    let watch = Watch::new(path, &watcher).context("cannot listen for SIGHUP")?;
+    let loaded = || Loaded::load(path, &watcher);
     if arguments.check {
         let Loaded { config, material } = loaded()?;
         let good = format!(

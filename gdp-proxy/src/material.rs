@@ -28,6 +28,7 @@ pub struct Material {
     pub identity: Identity,
     /// The domain credentials with their files. The watch on the files began before they were read.
     pub credentials: Option<(Credentials, FileSet)>,
+    pub directory: Option<DirectoryMaterial>,
     pub relay: Option<Relay>,
     /// The routes in the order of the configuration's topics, each with the index of its topic.
     pub routes: Vec<(usize, RouteMaterial)>,
@@ -53,6 +54,15 @@ pub struct ImportMaterial {
     pub(crate) file: Renewal,
 }
 
+/// The card of the domain's directory, the domain, and the grant to read the directory.
+#[derive(Clone)]
+pub struct DirectoryMaterial {
+    pub card: NameCard,
+    pub domain: Name,
+    pub grant: Reading,
+    pub(crate) file: Renewal,
+}
+
 impl Material {
     /// Reads and checks all files. `watcher` reports when a certificate is replaced later.
     pub fn load(config: &Config, watcher: &FileWatcher) -> Result<Self, MaterialError> {
@@ -69,6 +79,7 @@ impl Material {
         let credentials =
             config.domain.as_ref().map(|domain| load_credentials(&domain.into(), identity.name(), watcher));
         let credentials = credentials.transpose()?;
+        let directory = load_directory(config, identity.name(), watcher)?;
         graph::check(&config.graphs)
             .map_err(|(name, reason)| MaterialError { key: format!("graphs.{name}"), reason })?;
         let relay = Relay::load(config)?;
@@ -77,7 +88,7 @@ impl Material {
         let imports = imports.map(|(i, import)| load_import(i, import, identity.name(), watcher));
         let imports = imports.collect::<Result<_, _>>()?;
         let calls = call::material::load(config, identity.name(), watcher)?;
-        let material = Self { identity, credentials, relay, routes, expose, imports, calls };
+        let material = Self { identity, credentials, directory, relay, routes, expose, imports, calls };
         material.check_names(config)?;
         Ok(material)
     }
@@ -169,6 +180,25 @@ fn load_expose(config: &ExposeConfig) -> Result<ExposeMaterial, MaterialError> {
         return Err(wrong("catalog", format!("{card} is a name of another owner than {key}; make it with that key")));
     }
     Ok(ExposeMaterial { owner, catalog })
+}
+
+fn load_directory(
+    config: &Config,
+    entity: Name,
+    watcher: &FileWatcher,
+) -> Result<Option<DirectoryMaterial>, MaterialError> {
+    let (Some(directory), Some(domain)) = (&config.directory, &config.domain) else { return Ok(None) };
+    let wrong = |reason| MaterialError { key: "directory.grant".into(), reason };
+    let owner = NameCard::load(&domain.card).map_err(|error| wrong(with_path(error, &domain.card)))?;
+    let card = gdp_directory::directory_card(*owner.owner_key()).map_err(|error| wrong(error.to_string()))?;
+    let opened = CertFile::open(&directory.grant, Side::In, "the directory", &card, entity, watcher);
+    match opened.map_err(|error| wrong(with_path(error, &directory.grant)))? {
+        (file, Permission::Read(grant)) => {
+            let (domain, file) = (owner.name(), Renewal::File(file.into()));
+            Ok(Some(DirectoryMaterial { card, domain, grant, file }))
+        }
+        (_, Permission::Publish(_)) => Err(wrong("is a permission to publish".into())),
+    }
 }
 
 fn load_import(

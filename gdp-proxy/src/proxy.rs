@@ -11,12 +11,14 @@ use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use gdp_util::ticks::Ticks;
+use tokio::sync::watch;
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
 use crate::carries::Carries;
 use crate::config::Config;
 use crate::diagnostics::{self, Diagnostics};
+use crate::directory::{self, Members};
 use crate::graph;
 use crate::interfaces::Interfaces;
 use crate::manager::ChangeCounts;
@@ -88,7 +90,9 @@ async fn carry(
         catalogs: automatic::manager(node.clone()),
     };
     let mut explicit = Explicit::new(&loaded, &graphs)?;
-    let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
+    let (found_members, mut members) = watch::channel(Members::default());
+    let mut following = std::pin::pin!(directory::follow(&node, loaded.material.directory.take(), &found_members));
+    let mut automatic = Automatic::new(&loaded, &graphs, node.name(), &[], None)?;
     running.want(&mut automatic, &explicit);
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
@@ -115,7 +119,8 @@ async fn carry(
                     loaded = new;
                     watch.taken(&loaded);
                     explicit = Explicit::new(&loaded, &graphs)?;
-                    automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
+                    let known = members.borrow().clone();
+                    automatic = Automatic::new(&loaded, &graphs, node.name(), &known, Some(automatic))?;
                     let ChangeCounts { begun, ended, unchanged } = running.want(&mut automatic, &explicit);
                     tracing::info!(begun, ended, unchanged, "took the changed configuration");
                 }
@@ -126,7 +131,13 @@ async fn carry(
                     }
                 }
             },
+            Ok(()) = members.changed() => {
+                let known = members.borrow_and_update().clone();
+                automatic = Automatic::new(&loaded, &graphs, node.name(), &known, Some(automatic))?;
+                running.want(&mut automatic, &explicit);
+            }
             never = &mut keeping => match never {},
+            never = &mut following => match never {},
         }
     };
 

@@ -23,10 +23,10 @@ use serde::{Deserialize, Deserializer};
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
-use crate::folders;
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
+use gdp_util::folders;
 
 /// The maximum size of the file, in bytes. A configuration is a page of text, so a larger file is
 /// the wrong one.

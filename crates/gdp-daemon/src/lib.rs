@@ -5,7 +5,6 @@
 pub mod config;
 pub mod doctor;
 pub mod domain;
-pub mod folders;
 pub mod privileges;
 pub mod serve;
 pub mod store;

@@ -11,7 +11,7 @@ use gdp_dataplane::capabilities::{self, Capability};
 use gdp_dataplane::{device, pins};
 
 use crate::config::{Config, DataPlane};
-use crate::folders;
+use gdp_util::folders;
 
 /// The first port that needs no CAP_NET_BIND_SERVICE, with the default of
 /// `net.ipv4.ip_unprivileged_port_start`.

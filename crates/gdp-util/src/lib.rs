@@ -5,10 +5,12 @@
 //! - [`descriptors`]: the limit on open file descriptors (feature `descriptors`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
+//! - [`folders`]: the folders of state, configuration and socket (feature `program`)
 //! - [`line_limit`]: a limit on log lines of one kind
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
+//! - [`processes`]: signals to child processes (feature `program`)
 //! - [`terminal`]: output lines for users (feature `program`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
@@ -23,11 +25,15 @@ pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]
 pub mod file_watch;
+#[cfg(feature = "program")]
+pub mod folders;
 pub mod line_limit;
 #[cfg(feature = "program")]
 pub mod log;
 #[cfg(feature = "program")]
 pub mod panics;
+#[cfg(feature = "program")]
+pub mod processes;
 #[cfg(feature = "program")]
 pub mod terminal;
 pub mod ticks;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use gdp_daemon::folders;
+use gdp_util::folders;
 
 use super::output::Output;
 use crate::client::Client;

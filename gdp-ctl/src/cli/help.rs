@@ -4,11 +4,16 @@ use clap::Command;
 
 /// Groups of commands, each with its commands in the order of the help.
 const GROUPS: [(&str, &[&str]); 3] = [
-    ("Everyday", &["serve", "status", "doctor", "topic", "service", "action"]),
+    (
+        "Everyday",
+        &["up", "invite", "robots", "revoke", "apply", "admin", "status", "doctor", "topic", "service", "action"],
+    ),
     ("Rights", &["key", "name", "grant", "domain", "cert"]),
     (
         "Inside",
         &[
+            "serve",
+            "join-service",
             "query",
             "advertise",
             "withdraw",
@@ -35,7 +40,7 @@ pub fn grouped(command: Command) -> Command {
         list += &format!("{title}:\n");
         for name in names {
             let about = command.find_subcommand(name).and_then(Command::get_about);
-            list += &format!("  {name:10} {}\n", about.map(ToString::to_string).unwrap_or_default());
+            list += &format!("  {name:12} {}\n", about.map(ToString::to_string).unwrap_or_default());
         }
         list.push('\n');
     }

@@ -105,17 +105,7 @@ impl IssuanceLog {
 
     /// Returns the newest local revocation of the name.
     pub fn revocation(&self) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
-        let path = self.revocation_path();
-        let Some(content) = read(&path, MAX_REVOCATION)? else { return Ok(None) };
-        let check = || -> anyhow::Result<_> {
-            let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
-            let claims = signed.verify_signature(self.card.owner_key())?;
-            if claims.name != self.card.name() {
-                bail!("it is of {}, not of {}", claims.name, self.card.name());
-            }
-            Ok((signed, claims))
-        };
-        check().map(Some).with_context(|| path.display().to_string())
+        newest_revocation(&self.card, &self.revocation_path())
     }
 
     pub fn keep_revocation(&self, signed: &Signed<Revocation>) -> anyhow::Result<()> {
@@ -127,6 +117,21 @@ impl IssuanceLog {
         name.push(suffix);
         self.path.with_file_name(name)
     }
+}
+
+/// Returns the revocation in this file, if it exists. The file is replaced as a whole, so it needs
+/// no lock.
+pub fn newest_revocation(card: &NameCard, path: &Path) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
+    let Some(content) = read(path, MAX_REVOCATION)? else { return Ok(None) };
+    let check = || -> anyhow::Result<_> {
+        let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
+        let claims = signed.verify_signature(card.owner_key())?;
+        if claims.name != card.name() {
+            bail!("it is of {}, not of {}", claims.name, card.name());
+        }
+        Ok((signed, claims))
+    };
+    check().map(Some).with_context(|| path.display().to_string())
 }
 
 /// Returns the contents of a file, or `None` if it does not exist.

@@ -13,6 +13,7 @@ mod dump;
 mod entity;
 mod grant;
 mod help;
+mod home;
 mod issuance_log;
 mod issuing;
 mod key;
@@ -82,6 +83,22 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Start a domain on this machine: switch, RIB, join service and proxy.
+    #[command(after_help = "Creates what is missing, and runs until ^C. Run it again to go on with the same domain.")]
+    Up(home::UpOptions),
+    /// Print a line with which a robot, server or laptop joins the domain (`gdp-proxy join`).
+    Invite(home::InviteOptions),
+    /// List the members of the domain and what they share.
+    Robots(home::RobotsOptions),
+    /// Revoke a member of the domain by its label.
+    Revoke(home::RevokeOptions),
+    /// Make the members of the domain those of a file.
+    Apply(home::ApplyOptions),
+    /// Back up and restore the domain, and show what was issued and revoked.
+    #[command(subcommand)]
+    Admin(home::AdminCommand),
+    /// Run the domain's join service alone; `gdp-ctl up` starts it.
+    JoinService(home::JoinServiceOptions),
     /// Run a switch, to which robots, servers and other switches connect.
     ///
     /// The daemon is also the RIB, unless its configuration names a remote one.
@@ -205,6 +222,13 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 
 fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
+        Command::Up(options) => home::up(&options, context),
+        Command::Invite(options) => home::invite(&options, context),
+        Command::Robots(options) => home::robots(&options, context),
+        Command::Revoke(options) => home::revoke(&options, context),
+        Command::Apply(options) => home::apply(&options, context),
+        Command::Admin(command) => home::admin(command, context),
+        Command::JoinService(options) => home::join_service(&options),
         Command::Serve(options) => serve::run(options, context),
         Command::Advertise(options) => advertise::advertise(&options, context),
         Command::Withdraw(options) => advertise::withdraw(&options, context),

@@ -19,7 +19,7 @@ use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
 use crate::ros::{fabric::Fabric, fabric::local_switch, keyring::Keyring, keyring::called};
-use gdp_daemon::folders;
+use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
 
 /// Time after which a reader is warned that nobody publishes.

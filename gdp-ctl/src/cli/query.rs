@@ -80,7 +80,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 }
 
 /// Returns the records of the names with this prefix, and whether there are more than the maximum.
-fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
+pub fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
     let mut records: Vec<Record> = Vec::new();
     loop {
         let after = records.last().map(Record::key).transpose()?;

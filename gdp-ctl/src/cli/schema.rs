@@ -12,13 +12,20 @@ use serde_json::{Map, Value};
 use super::credential_file::{CertificateOutput, IssuedOutput};
 use super::output::FailureOutput;
 use super::revocation::RevokeOutput;
-use super::{advertise, doctor, domain, dump, grant, key, name, ping, query, service, topic, trace, xdp};
+use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query, service, topic, trace, xdp};
 
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 43] = [
+const OUTPUTS: [(&str, Of); 50] = [
     ("error", of::<FailureOutput>),
+    ("invite", of::<home::InviteOutput>),
+    ("robots", of::<home::RobotsOutput>),
+    ("revoke", of::<RevokeOutput>),
+    ("apply", of::<home::ApplyOutput>),
+    ("admin backup", of::<home::BackupOutput>),
+    ("admin restore", of::<home::BackupOutput>),
+    ("admin log", of::<home::LogOutput>),
     ("status", of::<StatusReply>),
     ("link list", of::<LinksReply>),
     ("peer list", of::<PeersReply>),

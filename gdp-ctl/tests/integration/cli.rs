@@ -222,7 +222,7 @@ fn help_is_in_groups() {
     let help = User::new().text(&["--help"]);
     let at = |title: &str| help.find(&format!("\n{title}:\n")).unwrap_or_else(|| panic!("{title}: {help}"));
     assert!(at("Everyday") < at("Rights") && at("Rights") < at("Inside") && at("Inside") < at("Options"), "{help}");
-    assert!(help.contains("\n  topic      List, measure") && help.contains("Exit status"), "{help}");
+    assert!(help.contains("\n  topic        List, measure") && help.contains("Exit status"), "{help}");
 }
 
 #[test]

@@ -10,11 +10,12 @@ use gdp_core::cert::{AdCert, CertError, Grantee, Issued, ReadGrant, issue};
 use gdp_core::crypto::{self, CryptoError};
 use gdp_core::identity::SigningKey;
 use gdp_core::name::Metadata;
+use gdp_ros::catalog::MAX_GRANTS;
 use gdp_wire::Name;
 
 use super::choice::Exposed;
-use crate::config::{ExposeConfig, Thing};
-use crate::ros2::TypeName;
+use crate::config::{ExposeConfig, MemberReader, Thing};
+use crate::ros2::{TopicName, TypeName};
 
 /// Validity of a certificate in seconds.
 pub const LIFETIME: u64 = 24 * 3600;
@@ -62,15 +63,27 @@ impl Issuer {
     }
 
     /// Issues the certificate to publish or serve the name for this proxy, and the grants for the
-    /// readers. `now` is in Unix nanoseconds.
-    pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<IssuedCredentials, IssueError> {
+    /// readers. `topic` is the name in the catalog, `None` for the catalog itself, for which the
+    /// join service issues the members' grants. `now` is in Unix nanoseconds.
+    pub fn issue(
+        &self,
+        name: Name,
+        topic: Option<&TopicName>,
+        config: &ExposeConfig,
+        now: u64,
+    ) -> Result<IssuedCredentials, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
         let (entity, scope) = (self.entity, config.scope.clone());
         let cert = issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after })?.into();
         let grant =
             |to: &Grantee| issue(&self.owner, &ReadGrant { name, to: to.clone(), serial, not_before, not_after });
-        let grants = config.readers.iter().map(|reader| Ok(grant(&reader.0)?.into()));
+        let may_read = |reader: &&MemberReader| {
+            topic.is_some_and(|topic| reader.topics.iter().any(|pattern| pattern.covers(topic)))
+        };
+        let members = config.shared.readers.iter().filter(may_read).map(|reader| Grantee::Entity(reader.entity));
+        let readers = config.readers.iter().map(|reader| reader.0.clone()).chain(members).take(MAX_GRANTS);
+        let grants = readers.map(|reader| Ok(grant(&reader)?.into()));
         Ok(IssuedCredentials { cert, grants: grants.collect::<Result<_, CertError>>()?, issued })
     }
 }

@@ -24,6 +24,7 @@ use anyhow::{Context, Result, anyhow};
 use futures::future::select_all;
 use gdp_core::card::NameCard;
 use gdp_core::domain::CredentialFiles;
+use gdp_directory::directory::Member;
 use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES, MAX_ENTRY_BYTES};
 use gdp_wire::Name;
 use tokio::sync::watch;
@@ -35,6 +36,7 @@ use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
 use self::omissions::Reason;
 use crate::config::{ExposeConfig, ImportConfig, Thing, What, action_of_topic};
+use crate::directory;
 use crate::graph::{self, Found, Graph, GraphObserver};
 use crate::material::ImportMaterial;
 use crate::permission::Permission;
@@ -88,9 +90,18 @@ pub struct Plans {
 }
 
 impl Automatic {
-    /// Applies a configuration. It keeps the state of `before` that is still wanted.
-    pub fn new(loaded: &Loaded, graphs: &graph::All, entity: Name, before: Option<Self>) -> Result<Self> {
+    /// Applies a configuration, and what the `members` of the domain share. It keeps the state of
+    /// `before` that is still wanted.
+    pub fn new(
+        loaded: &Loaded,
+        graphs: &graph::All,
+        entity: Name,
+        members: &[Member],
+        before: Option<Self>,
+    ) -> Result<Self> {
         let Loaded { config, material } = loaded;
+        let graph = config.directory.as_ref().and_then(|directory| directory.graph.as_deref());
+        let shared = directory::shared(members, entity, graph);
         let (before_expose, mut before_imports, planner_state) = match before {
             Some(Self { expose, imports, planner_state, .. }) => (expose, imports, planner_state),
             None => (None, vec![], PlannerState::default()),
@@ -102,8 +113,8 @@ impl Automatic {
         };
         let expose = match (&config.expose, &material.expose) {
             (Some(expose), Some(material)) => {
-                let (config, placed_in, catalog) =
-                    (expose.clone(), placed_in(&expose.graph)?, material.catalog.clone());
+                let config = ExposeConfig { shared: shared.exposed, ..expose.clone() };
+                let (placed_in, catalog) = (placed_in(&expose.graph)?, material.catalog.clone());
                 let same =
                     |before: &Expose| before.catalog == catalog && Arc::ptr_eq(&before.placed_in.1, &placed_in.1);
                 Some(match before_expose.filter(same) {
@@ -123,18 +134,21 @@ impl Automatic {
             _ => None,
         };
         let files = config.domain.as_ref().map(CredentialFiles::from);
-        let imports = config.import.iter().zip(&material.imports).map(|(config, material)| {
+        let listed = || material.imports.iter().map(|import| import.catalog.name());
+        let others = shared.imports.into_iter().filter(|(_, other)| !listed().any(|name| name == other.catalog.name()));
+        let imports = config.import.iter().cloned().zip(material.imports.iter().cloned()).chain(others);
+        let imports = imports.map(|(config, material)| {
             let known = before_imports.iter().position(|before| before.material.catalog == material.catalog);
             let tell = match known {
                 Some(at) => before_imports.swap_remove(at).tell,
                 None => Arc::new(watch::Sender::new(Arc::default())),
             };
-            let (config, placed_in) = (config.clone(), placed_in(&config.graph)?);
+            let placed_in = placed_in(&config.graph)?;
             Ok(Import {
                 config,
                 graph_observer: GraphObserver::of(&placed_in.1),
                 placed_in,
-                material: material.clone(),
+                material,
                 listed: tell.subscribe(),
                 tell,
                 files: files.clone(),
@@ -184,7 +198,8 @@ impl Automatic {
 impl Expose {
     /// Applies another configuration to the same graph and catalog.
     fn with(mut self, config: ExposeConfig) -> Self {
-        if (&config.readers, &config.scope) != (&self.config.readers, &self.config.scope) {
+        let granted = |config: &ExposeConfig| (config.readers.clone(), config.scope.clone(), config.shared.clone());
+        if granted(&config) != granted(&self.config) {
             self.issued_credentials.clear();
         }
         Self { config, ..self }
@@ -196,7 +211,7 @@ impl Expose {
         self.choice.update(&self.config, &self.graph_observer.found(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
-        let own = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, &catalog, now)?;
+        let own = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, (&catalog, None), now)?;
         let (_, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert.clone()));
         let (mut entries, mut bytes, mut names) = (BTreeMap::new(), 0, BTreeSet::from([catalog.name()]));
         let mut is_full = None;
@@ -224,7 +239,8 @@ impl Expose {
                 gathering.omit(thing, called, Reason::RemappedOntoAnother);
                 continue;
             }
-            let Some(issued) = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, &card, now)
+            let named = (&card, Some(&exposed.name));
+            let Some(issued) = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, named, now)
             else {
                 continue;
             };
@@ -279,19 +295,20 @@ fn carried_actions(graph: &Arc<Graph>, calls: &[Arc<CallPlan>], imports: &[Impor
     actions
 }
 
-/// Returns the known certificates, or issues new ones if they are old.
+/// Returns the known certificates, or issues new ones if they are old. `topic` is the name in the
+/// catalog, `None` for the catalog itself.
 fn issued_credentials(
     issuer: &Issuer,
     known: &mut BTreeMap<Name, IssuedCredentials>,
     config: &ExposeConfig,
-    card: &NameCard,
+    (card, topic): (&NameCard, Option<&TopicName>),
     now: u64,
 ) -> Option<IssuedCredentials> {
     let name = card.name();
     if let Some(issued_credentials) = known.get(&name).filter(|issued_credentials| !issued_credentials.are_old(now)) {
         return Some(issued_credentials.clone());
     }
-    match issuer.issue(name, config, now) {
+    match issuer.issue(name, topic, config, now) {
         Ok(issued_credentials) => {
             known.insert(name, issued_credentials.clone());
             Some(issued_credentials)

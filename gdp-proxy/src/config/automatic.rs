@@ -69,10 +69,29 @@ pub struct ExposeConfig {
     /// Default options of the exposed topics. Only `meta` also applies to services and actions.
     #[serde(default)]
     pub defaults: RuleOptions,
+    /// What the domain's directory adds.
+    #[serde(skip)]
+    pub shared: SharedTopics,
+}
+
+/// Topics that the directory of the domain lets members read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SharedTopics {
+    /// Patterns of the topics that members import under their own names.
+    pub exports: Vec<Pattern>,
+    pub readers: Vec<MemberReader>,
+}
+
+/// A member of the domain with the patterns of the exposed topics that it may read, with their
+/// names in the catalog.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MemberReader {
+    pub entity: Name,
+    pub topics: Vec<Pattern>,
 }
 
 /// The remote topics, services and actions that the proxy imports while a catalog lists them.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImportConfig {
     /// Name of the graph, if there are several.
@@ -118,6 +137,10 @@ pub struct ImportConfig {
     #[serde(default)]
     #[schemars(range(min = 2, max = 8))]
     pub replicate: Option<u8>,
+    /// Patterns of what the directory lets the other member expose. Nothing else is imported, but
+    /// for what is in `merge`.
+    #[serde(skip)]
+    pub within: Option<Vec<Pattern>>,
 }
 
 /// A pattern of topics with their options.
@@ -249,8 +272,12 @@ impl ExposeConfig {
         };
         match thing {
             Thing::Topic => {
-                let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name))?;
-                Some(rule.rule_options.or(&self.defaults))
+                let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name));
+                let is_export = || self.shared.exports.iter().any(|pattern| pattern.matches(thing, name));
+                match rule {
+                    Some(rule) => Some(rule.rule_options.or(&self.defaults)),
+                    None => is_export().then(|| self.defaults.clone()),
+                }
             }
             Thing::Call(What::Service) => {
                 let mut rule_options = called(&self.services)?;
@@ -272,9 +299,16 @@ impl ExposeConfig {
         self.manners().any(|rule_options| rule_options.duplicate == Some(true))
     }
 
-    /// Checks the section. Errors come with the key inside `expose`.
-    pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
-        check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)?;
+    /// Checks the section. Errors come with the key inside `expose`. With a directory, it may name
+    /// nothing, because the members import by the directory.
+    pub(super) fn check(&self, graphs: &Graphs, has_directory: bool) -> Result<(), (&'static str, String)> {
+        check_patterns(
+            has_directory || !self.topics.is_empty(),
+            &self.services,
+            &self.actions,
+            self.graph.as_deref(),
+            graphs,
+        )?;
         if self.readers.len() > MAX_GRANTS {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }
@@ -314,8 +348,9 @@ impl ImportConfig {
             Thing::Call(What::Service) => &self.services,
             Thing::Call(What::Action) => &self.actions,
         };
-        let is_denied = self.deny.iter().any(|pattern| pattern.covers(name));
-        !is_denied && patterns.iter().any(|pattern| pattern.matches(thing, name))
+        let any = |patterns: &[Pattern]| patterns.iter().any(|pattern| pattern.covers(name));
+        let is_within = self.within.as_ref().is_none_or(|within| any(within) || self.merges(thing, name));
+        is_within && !any(&self.deny) && patterns.iter().any(|pattern| pattern.matches(thing, name))
     }
 
     /// Whether any services or actions may be imported.

@@ -34,7 +34,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::action_topic::{action_of_topic, action_type};
-pub use self::automatic::{ExposeConfig, ImportConfig, ReaderConfig, Remap, Rule, RuleOptions, remapped};
+pub use self::automatic::{
+    ExposeConfig, ImportConfig, MemberReader, ReaderConfig, Remap, Rule, RuleOptions, SharedTopics, remapped,
+};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config, ZenohConfig};
@@ -78,6 +80,9 @@ pub struct Config {
     /// The trust domain of which the proxy is a member.
     #[serde(default)]
     pub domain: Option<DomainConfig>,
+    /// The domain's directory, which lists what its members share (`gdp-proxy join` writes this).
+    #[serde(default)]
+    pub directory: Option<DirectoryConfig>,
     /// A switch beside the proxy that carries other endpoints.
     #[serde(default, deserialize_with = "relay::relay")]
     #[schemars(schema_with = "relay::schema")]
@@ -145,6 +150,17 @@ pub struct DomainConfig {
     /// (`gdp-ctl domain peer`).
     #[serde(default)]
     pub peers: Vec<PathBuf>,
+}
+
+/// The directory of the proxy's domain.
+#[derive(Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DirectoryConfig {
+    /// The grant to read the directory.
+    pub grant: PathBuf,
+    /// Name of the graph in which members' topics appear, if there are several.
+    #[serde(default)]
+    pub graph: Option<String>,
 }
 
 impl From<&DomainConfig> for CredentialFiles {
@@ -248,6 +264,7 @@ impl Config {
             ("links", self.links != new.links),
             ("state", self.state != new.state),
             ("domain", self.domain != new.domain),
+            ("directory", self.directory != new.directory),
             ("crypto", new.crypto.is_some_and(|new| new != Backend::selected())),
             ("relay", self.relay != new.relay),
             ("definitions", self.definitions != new.definitions),
@@ -277,6 +294,15 @@ impl Config {
                 "there is no domain for it; say which in domain, or remove it".into(),
             ));
         }
+        if let Some(directory) = &self.directory {
+            if self.domain.is_none() {
+                return Err((
+                    "directory".into(),
+                    "there is no domain for it; say which in domain, or remove it".into(),
+                ));
+            }
+            self.graphs.get(directory.graph.as_deref()).map_err(|reason| ("directory.graph".into(), reason))?;
+        }
         for (i, topic) in self.topics.iter().enumerate() {
             let wrong = |key: &str, reason: String| (format!("topics[{i}].{key}"), reason);
             topic.check(&self.graphs).map_err(|(key, reason)| wrong(key, reason))?;
@@ -290,7 +316,9 @@ impl Config {
             }
         }
         if let Some(expose) = &self.expose {
-            expose.check(&self.graphs).map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
+            expose
+                .check(&self.graphs, self.directory.is_some())
+                .map_err(|(key, reason)| (format!("expose.{key}"), reason))?;
             if expose.duplicates() {
                 self.check_second_link().map_err(|reason| ("expose".into(), reason))?;
             }
@@ -352,6 +380,7 @@ impl Config {
             let DomainConfig { card, membership, peers } = domain;
             [card, membership].into_iter().chain(peers)
         });
+        let directory = self.directory.iter_mut().map(|directory| &mut directory.grant);
         let relay =
             self.relay.iter_mut().flat_map(|relay| [&mut relay.identity].into_iter().chain(&mut relay.membership));
         let topics = self.topics.iter_mut();
@@ -364,6 +393,7 @@ impl Config {
         [&mut self.identity]
             .into_iter()
             .chain(domain)
+            .chain(directory)
             .chain(relay)
             .chain(topics)
             .chain(expose)

@@ -8,8 +8,6 @@ use serde::{Deserialize, Deserializer, de};
 use super::{Thing, What};
 use crate::ros2::TopicName;
 
-const MAX_PATTERN: usize = 253;
-
 /// A pattern of names with a leading slash. `*` matches any characters within a segment. A segment
 /// `**` matches any number of segments, including none. `/camera/**` matches `/camera` and
 /// everything beneath it; `/*/image_*` matches `/left/image_raw`.
@@ -18,19 +16,7 @@ pub struct Pattern(String);
 
 impl Pattern {
     pub fn parse(text: &str) -> Result<Self, String> {
-        let good = |segment: &str| {
-            segment == "**" || !segment.is_empty() && !segment.contains("**") && segment.chars().all(is_part)
-        };
-        let well_formed = text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(good));
-        if well_formed && text.len() <= MAX_PATTERN {
-            return Ok(Self(text.into()));
-        }
-        let text: String = text.chars().take(64).collect();
-        Err(format!(
-            "{text:?} is no pattern of names: write a name with a leading slash, in which * stands for any \
-             characters between two slashes and /** for \
-             any number of segments, such as /camera/** or /*/odom"
-        ))
+        gdp_ros::pattern::check(text).map(|()| Self(text.into()))
     }
 
     /// Whether the pattern selects the name. [Hidden](is_hidden) names are selected only by a
@@ -88,10 +74,6 @@ fn is_of_every_node(last: &str) -> bool {
 
 fn segments(name: &str) -> impl Iterator<Item = &str> {
     name.split('/').skip(1)
-}
-
-fn is_part(c: char) -> bool {
-    c.is_ascii_alphanumeric() || matches!(c, '_' | '*')
 }
 
 /// Whether the pattern matches the text. A part for which `is_any` is true matches any number of

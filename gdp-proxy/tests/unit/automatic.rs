@@ -31,7 +31,7 @@ async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
          {catalog: two.card, grant: two.grant, topics: [/**], prefix: /two}]",
     )
     .await;
-    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, &[], None).unwrap();
     let (config, material) = (loaded.config.topics[0].clone(), loaded.material.routes[0].1.clone());
     let explicit = [Arc::new(RoutePlan { config, label: "a".into(), graph: graphs["a"].clone(), material })];
 
@@ -80,7 +80,7 @@ async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
     let readers = readers.join(", ");
     let expose = format!("expose: {{owner: owner.pem, catalog: catalog.card, topics: [/**], readers: [{readers}]}}");
     let (loaded, graphs) = load(&files, &expose).await;
-    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, &[], None).unwrap();
     let offered = || vec![Offered { kind: TypeName::parse("std_msgs/msg/String").ok(), qos: None }];
     let topic = |i| (Thing::Topic, TopicName::parse(&format!("/t{i:03}")).unwrap());
     let topics: Found = (0..500).map(|i| (topic(i), offered())).collect();
@@ -118,7 +118,7 @@ async fn services_are_listed_and_carried_as_calls_unless_the_configuration_lists
          expose: {owner: owner.pem, catalog: catalog.card, topics: [/a], services: [/**], remap: [{from: /b, to: /a}]}",
     )
     .await;
-    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, None).unwrap();
+    let mut automatic = Automatic::new(&loaded, &graphs, files.entity, &[], None).unwrap();
     let offered = |thing, name, kind| {
         ((thing, TopicName::parse(name).unwrap()), vec![Offered { kind: TypeName::parse(kind).ok(), qos: None }])
     };

@@ -1,8 +1,8 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949
-//! §4.2.1). [`owner`], [`domain`], [`switch`], [`statements`] and [`link_state`] define the claims.
-//! [`Signed`] keeps and verifies the exact bytes, and [`issued`] verifies the chain from a
-//! certificate to the owner of its name. [`request`] checks the signatures that a request needs.
-//! The RIB and the receivers of its answers call this module.
+//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`switch`], [`statements`] and [`link_state`]
+//! define the claims. [`Signed`] keeps and verifies the exact bytes, and [`issued`] verifies the
+//! chain from a certificate to the owner of its name. [`request`] checks the signatures that a
+//! request needs. The RIB and the receivers of its answers call this module.
 //!
 //! Domain separation: the type of a certificate is its external AAD and its protected content type,
 //! so one type never verifies as another. A COSE `Sig_structure` begins with a CBOR array head and
@@ -12,6 +12,7 @@
 mod advert_op;
 mod claims;
 pub mod domain;
+pub mod enrollment;
 mod error;
 mod extension;
 mod issued;
@@ -27,6 +28,7 @@ mod switch;
 pub use advert_op::AdvertOp;
 pub use claims::{CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
+pub use enrollment::{Enrollment, TopicsOf};
 pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};

@@ -19,7 +19,7 @@ use crate::peer::{Peer, Role};
 use crate::revocations::SignedRevocation;
 
 pub use files::{CredentialFiles, PaperFileError};
-pub use token::{Token, TokenError};
+pub use token::{Enrolling, Token, TokenError};
 
 /// Maximum number of certificates for other domains that one entity presents.
 pub const MAX_PEERS: usize = 16;

@@ -7,14 +7,14 @@ use zeroize::{Zeroize, Zeroizing};
 
 use crate::cbor;
 use crate::cbor::CborError;
-use crate::cert::{CertError, Invite, MemberCert, Membership, Signed, issue};
+use crate::cert::{CertError, Delegation, Enrollment, Invite, MemberCert, Membership, Signed, issue};
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
 use crate::name::{Name, NameProof};
 
 const PREFIX: &str = "gdp1";
 
-/// Maximum bytes of the CBOR; a typical invitation has about 700.
+/// Maximum bytes of the CBOR; a typical invitation has about 700, with an enrollment 1300.
 const MAX_TOKEN: usize = 4096;
 
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +41,16 @@ pub struct Token {
     key: SigningKey,
     at: LinkTarget,
     switch: Option<Name>,
+    enrolling: Option<Enrolling>,
+}
+
+/// Part of an invitation that also enrolls the new member in the domain's directory.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Enrolling {
+    pub enrollment: Signed<Enrollment>,
+    /// Delegation to the invitation's key: its holder may call the join service.
+    pub call: Signed<Delegation>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -52,6 +62,8 @@ struct Form {
     key: [u8; 32],
     at: String,
     switch: Option<Name>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    enrolling: Option<Enrolling>,
 }
 
 impl Drop for Form {
@@ -70,7 +82,7 @@ impl Token {
         at: LinkTarget,
         switch: Option<Name>,
     ) -> Result<Self, CertError> {
-        let token = Self { domain, invite, key, at, switch };
+        let token = Self { domain, invite, key, at, switch, enrolling: None };
         token.invite()?;
         Ok(token)
     }
@@ -92,6 +104,26 @@ impl Token {
     #[cfg(test)]
     pub(super) fn invite_signed(&self) -> &Signed<Invite> {
         &self.invite
+    }
+
+    /// Adds the enrollment, after a check that it is of this invitation.
+    pub fn enroll(self, enrolling: Enrolling) -> Result<Self, CertError> {
+        let invite = self.invite()?;
+        let claims = enrolling.enrollment.verify_signature(&self.domain.verify_key()?)?;
+        if (claims.domain, claims.member) != (invite.domain, invite.serial) {
+            return Err(CertError::Malformed("the enrollment is of another invitation".into()));
+        }
+        Ok(Self { enrolling: Some(enrolling), ..self })
+    }
+
+    /// Returns the enrollment, if the domain enrolls this member.
+    pub fn enrolling(&self) -> Option<&Enrolling> {
+        self.enrolling.as_ref()
+    }
+
+    /// Returns the key of the invitation.
+    pub fn key(&self) -> &SigningKey {
+        &self.key
     }
 
     pub fn domain(&self) -> &NameProof {
@@ -128,6 +160,7 @@ impl Token {
             key: *self.key.secret_bytes(),
             at: self.at.to_string(),
             switch: self.switch,
+            enrolling: self.enrolling.clone(),
         };
         let bytes = Zeroizing::new(cbor::encode(&form).expect("byte strings and text have an encoding"));
         let encoded = Zeroizing::new(Base64UrlUnpadded::encode_string(&bytes));
@@ -148,6 +181,10 @@ impl Token {
         let damaged = |what: &str| TokenError::Damaged(what.into());
         let key = SigningKey::from_secret_bytes(&form.key).map_err(|_| damaged("its key is none"))?;
         let at = form.at.parse().map_err(|_| damaged("it names no place to dial"))?;
-        Ok(Self::new(form.domain, form.invite.clone(), key, at, form.switch)?)
+        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?;
+        Ok(match form.enrolling.clone() {
+            Some(enrolling) => token.enroll(enrolling)?,
+            None => token,
+        })
     }
 }

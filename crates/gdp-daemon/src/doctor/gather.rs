@@ -12,7 +12,6 @@ use super::facts::{
     Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, UdpFacts, Wanted,
 };
 use crate::config::{Config, DataPlane};
-use crate::folders;
 use gdp_dataplane::capabilities::{self, Capability, SYS_ADMIN};
 use gdp_dataplane::device::Device;
 use gdp_dataplane::dpdk::DpdkConfig;
@@ -22,6 +21,7 @@ use gdp_dataplane::object::Object;
 use gdp_dataplane::pins::{self, Pins, PinsError};
 use gdp_dataplane::xdp_features::XdpFeatures;
 use gdp_dataplane::{disturbance, host_pair, losses, udp};
+use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
 
 /// Collects the facts for a daemon with this configuration, in this network namespace.

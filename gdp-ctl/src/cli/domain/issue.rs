@@ -1,7 +1,7 @@
 //! `gdp-ctl domain init`, `admit`, `invite` and `peer`: the commands by which a domain issues
 //! certificates.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
@@ -119,6 +119,13 @@ pub struct InitOutput {
 pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let folder = &options.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    let output = create_domain(folder)?;
+    let name = output.name.to_string();
+    context.output.print(&output, || [name])
+}
+
+/// Creates domain.pem and domain.card in an existing folder.
+pub fn create_domain(folder: &Path) -> anyhow::Result<InitOutput> {
     let key_file = folder.join("domain.pem");
     let card_file = card_file_of(&key_file);
     expect_new(&card_file)?;
@@ -126,8 +133,7 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     identity.save_new(&key_file)?;
     let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
     output::write_new(&card_file, &card.to_json())?;
-    let name = identity.name();
-    context.output.print(&InitOutput { name, key: key_file, card: card_file }, || [name.to_string()])
+    Ok(InitOutput { name: identity.name(), key: key_file, card: card_file })
 }
 
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
@@ -140,7 +146,7 @@ pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let membership = Membership::issue(&authority.identity, &claims)?;
     membership.verify(domain, authority.revocation.as_ref(), unix_seconds())?;
     let to = To::Member { entity, role };
-    authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &membership.to_pem())?;
     context
         .output
@@ -165,7 +171,7 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
     let signed = issue(authority.identity.key(), &claims)?;
     let token = Token::new(authority.identity.proof(), signed, invited, at, switch)?;
     let to = To::Invited { role };
-    authority.remember(Issue { serial, to, not_before, not_after, ends: member_until, file: None })?;
+    authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: member_until, file: None })?;
     let line = token.to_line();
     let (kind, claims, serial) = (Invite::KIND, claim_map(&claims), serial.to_string());
     let output = IssuedOutput { kind, claims, serial, file: None, token: Some(line.to_string()) };
@@ -182,7 +188,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let signed = issue(authority.identity.key(), &claims)?;
     signed.verify_peer(&authority.identity.proof(), authority.revocation.as_ref(), unix_seconds())?;
     let to = To::Peer { domain: peer, rights };
-    authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &signed.to_pem())?;
     context
         .output

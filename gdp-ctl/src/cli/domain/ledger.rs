@@ -16,6 +16,9 @@ use super::super::issuance_log;
 pub struct Issue {
     pub serial: u64,
     pub to: To,
+    /// Label of the member in the domain's directory.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
     pub not_before: u64,
     pub not_after: u64,
     /// Time at which the certificate and all that depend on it have expired.
@@ -90,18 +93,22 @@ impl Issue {
         }
     }
 
+    pub fn is_revoked(&self, revocation: Option<&Revocation>) -> bool {
+        revocation.is_some_and(|revocation| revocation.check(self.kind(), self.serial).is_err())
+    }
+
     pub fn state(&self, revocation: Option<&Revocation>, now: u64) -> &'static str {
-        match revocation.map(|revocation| revocation.check(self.kind(), self.serial)) {
-            Some(Err(_)) => "revoked",
-            _ if now > self.not_after => "expired",
+        match self.not_after {
+            _ if self.is_revoked(revocation) => "revoked",
+            not_after if now > not_after => "expired",
             _ if now < self.not_before => "not yet",
             _ => "valid",
         }
     }
 
     pub fn describe(&self, state: &'static str) -> IssueOutput {
-        let Self { serial, to, not_before, not_after, file, .. } = self.clone();
-        IssueOutput { serial: serial.to_string(), kind: self.kind(), to, not_before, not_after, file, state }
+        let Self { serial, to, label, not_before, not_after, file, .. } = self.clone();
+        IssueOutput { serial: serial.to_string(), kind: self.kind(), to, label, not_before, not_after, file, state }
     }
 }
 
@@ -112,6 +119,8 @@ pub struct IssueOutput {
     serial: String,
     kind: &'static str,
     to: To,
+    /// Label of the member in the domain's directory.
+    label: Option<String>,
     not_before: u64,
     not_after: u64,
     /// None for an invitation.

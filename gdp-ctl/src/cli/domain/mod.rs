@@ -13,8 +13,10 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
-pub use issue::InitOutput;
+pub use authority::Authority;
+pub use issue::{InitOutput, create_domain};
 pub use join::JoinOutput;
+pub use ledger::{Issue, To};
 pub use show::{DomainOutput, InvitationOutput};
 
 const OFF_THE_SWITCHES: &str = "Run this command on the machine that stores the domain's key, and copy the file to the \

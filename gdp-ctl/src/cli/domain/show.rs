@@ -106,11 +106,12 @@ fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
         let row = |issue: &Issue| {
             let holder = issue.holder().map_or("who has the line".to_owned(), |holder| format!("{holder:#}"));
             let file = issue.file.as_ref().map_or(String::new(), |file| file.display().to_string());
-            [issue.serial.to_string(), issue.kind().into(), holder, issue.right(), state(issue).into(), file]
+            let label = issue.label.clone().unwrap_or_default();
+            [label, issue.serial.to_string(), issue.kind().into(), holder, issue.right(), state(issue).into(), file]
         };
         let rows: Vec<_> = issued.iter().map(row).collect();
         let mut lines = vec![format!("domain {name}")];
-        lines.extend(output::table(["serial", "kind", "to", "as", "state", "file"], &rows));
+        lines.extend(output::table(["label", "serial", "kind", "to", "as", "state", "file"], &rows));
         lines
     })
 }

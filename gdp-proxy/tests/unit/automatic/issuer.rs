@@ -44,7 +44,7 @@ fn papers_are_good_for_this_proxy_and_its_readers_and_grow_old() {
     let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();
     let to = Grantee::Role { domain: entity(), role: "operator".into() };
     config.readers = vec![ReaderConfig(Grantee::Entity(entity())), ReaderConfig(to.clone())];
-    let credentials = issuer.issue(card.name(), &config, NOW).unwrap();
+    let credentials = issuer.issue(card.name(), None, &config, NOW).unwrap();
     let seconds = NOW / 1_000_000_000;
     assert_eq!(credentials.cert.verify(&card.proof(), None, seconds).unwrap().entity, entity());
     assert_eq!(credentials.grants[1].verify(&card.proof(), None, seconds).unwrap().to, to);

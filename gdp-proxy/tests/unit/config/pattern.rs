@@ -71,19 +71,9 @@ fn services_that_every_node_has_are_meant_only_by_their_names() {
 
 #[test]
 fn what_is_no_pattern_is_refused() {
-    for text in [
-        "",
-        "/",
-        "chatter",
-        "/a//b",
-        "/a/",
-        "/a**",
-        "/***",
-        "/[a]",
-        "/a?",
-        "/a b",
-        &format!("/{}", "a".repeat(MAX_PATTERN)),
-    ] {
+    for text in
+        ["", "/", "chatter", "/a//b", "/a/", "/a**", "/***", "/[a]", "/a?", "/a b", &format!("/{}", "a".repeat(253))]
+    {
         assert!(Pattern::parse(text).is_err(), "{text:?}");
     }
 }

@@ -1,10 +1,22 @@
-//! The default folders of state (keys) and of the admin socket, for root and for other users.
+//! The default folders of state (keys), of the configuration and of the admin socket, for root and
+//! for other users.
 
+use std::fmt;
 use std::path::PathBuf;
 
-#[derive(Debug, thiserror::Error)]
-#[error("no place for the daemon's key and socket: set HOME or XDG_STATE_HOME, or name the files in a configuration")]
+#[derive(Debug)]
 pub struct NoFolder;
+
+impl fmt::Display for NoFolder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(
+            "no place for the daemon's key and socket: set HOME or XDG_STATE_HOME, or name the files in a \
+             configuration",
+        )
+    }
+}
+
+impl std::error::Error for NoFolder {}
 
 /// Returns whether this process runs as root.
 pub fn is_root() -> bool {
@@ -39,6 +51,12 @@ pub fn admin_socket() -> Result<PathBuf, NoFolder> {
 pub fn keyring() -> Option<PathBuf> {
     let home = || absolute("HOME").map(|home| home.join(".config"));
     Some(absolute("XDG_CONFIG_HOME").or_else(home)?.join("gdp"))
+}
+
+/// Returns the folder of the configuration and keys of this machine: `/etc/gdp`, or for other users
+/// the one of their [keyring].
+pub fn configuration() -> Option<PathBuf> {
+    if is_root() { Some("/etc/gdp".into()) } else { keyring() }
 }
 
 /// Returns a variable's path if it is absolute. The XDG base directory specification says to ignore

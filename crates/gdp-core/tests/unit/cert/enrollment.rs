@@ -1,0 +1,76 @@
+//! Labels, bounds, and to whom an enrollment belongs.
+
+use super::*;
+use crate::cert::{MemberCert, issue};
+use crate::identity::{Identity, SigningKey};
+
+const NOW: u64 = 1_800_000_000;
+
+fn domain(seed: u8) -> Identity {
+    Identity::new(SigningKey::from_secret_bytes(&[seed; 32]).unwrap(), "domain")
+}
+
+fn enrollment(domain: &Identity, member: u64) -> Enrollment {
+    Enrollment {
+        domain: domain.name(),
+        member,
+        label: "robot7".into(),
+        expose: vec!["/camera/**".into()],
+        import: vec![TopicsOf { member: "server".into(), topics: vec!["/cmd_vel".into()] }],
+        read: vec![],
+        join_service: domain.key().verify_key(),
+        serial: 7,
+        not_before: NOW - 60,
+        not_after: NOW + 60,
+    }
+}
+
+fn member(domain: &Identity, serial: u64) -> Membership {
+    let (name, entity) = (domain.name(), Identity::generate("proxy").unwrap().name());
+    let role = "robot".to_owned();
+    let claims = MemberCert { domain: name, entity, role, serial, not_before: NOW - 60, not_after: NOW + 60 };
+    Membership::issue(domain, &claims).unwrap()
+}
+
+#[test]
+fn a_label_is_a_segment_of_a_ros_name() {
+    for good in ["a", "robot7", "arm_left"] {
+        check_label(good).unwrap();
+    }
+    for bad in ["", "7robot", "Robot", "alice-laptop", "a/b", "*", "_x", &"a".repeat(33)] {
+        assert!(check_label(bad).unwrap_err().to_string().contains("namespace"), "{bad}");
+    }
+}
+
+#[test]
+fn an_enrollment_holds_for_its_member_in_its_domain_while_it_is_valid() {
+    let (home, other) = (domain(1), domain(2));
+    let membership = member(&home, 5);
+    let signed = issue(home.key(), &enrollment(&home, 5)).unwrap();
+    let (entity, claims) = signed.verify_for(home.name(), &membership, NOW).unwrap();
+    assert_eq!((entity, claims.label.as_str()), (membership.cert.claims_unverified().unwrap().entity, "robot7"));
+
+    let another = signed.verify_for(home.name(), &member(&home, 6), NOW).unwrap_err();
+    assert!(another.to_string().contains("another member"), "{another}");
+    assert!(signed.verify_for(other.name(), &membership, NOW).is_err());
+    assert!(signed.verify_for(home.name(), &membership, NOW + 61).is_err());
+    let forged = issue(other.key(), &enrollment(&home, 5)).unwrap();
+    assert!(forged.verify_for(home.name(), &membership, NOW).is_err());
+}
+
+#[test]
+fn lists_and_patterns_are_bounded() {
+    let home = domain(1);
+    let base = enrollment(&home, 5);
+    let many = vec!["/a".to_owned(); MAX_PATTERNS + 1];
+    let rules = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: vec![] }; MAX_PATTERNS + 1];
+    for claims in [
+        Enrollment { expose: many.clone(), ..base.clone() },
+        Enrollment { read: vec![TopicsOf { member: ALL_MEMBERS.into(), topics: many }], ..base.clone() },
+        Enrollment { read: rules, ..base.clone() },
+        Enrollment { expose: vec!["/".repeat(300)], ..base.clone() },
+        Enrollment { import: vec![TopicsOf { member: "A".into(), topics: vec![] }], ..base },
+    ] {
+        assert!(issue(home.key(), &claims).is_err(), "{claims:?}");
+    }
+}

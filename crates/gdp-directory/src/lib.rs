@@ -1,0 +1,38 @@
+//! The directory of a trust domain: its members with their labels, catalogs and shared topics. The
+//! domain's join service publishes it sealed, and members follow it. [`service`] decides who
+//! enters it. This crate has no I/O and no clock.
+
+pub mod directory;
+pub mod messages;
+pub mod service;
+
+use gdp_core::card::{CardError, NameCard};
+use gdp_core::cert::Grantee;
+use gdp_core::identity::VerifyKey;
+use gdp_core::name::Metadata;
+use gdp_e2e::seal::Encoding;
+use gdp_wire::Name;
+
+/// Encoding number of a message that is a directory.
+pub const DIRECTORY: Encoding = Encoding::Other(0x4744);
+
+/// Encoding number of a request to the join service, and of its reply.
+pub const JOIN: Encoding = Encoding::Other(0x474a);
+
+/// Returns the card of a domain's directory. The domain itself owns the name.
+pub fn directory_card(domain: VerifyKey) -> Result<NameCard, CardError> {
+    card(domain, "directory")
+}
+
+/// Returns the card of a domain's join service. The domain itself owns the name.
+pub fn join_card(domain: VerifyKey) -> Result<NameCard, CardError> {
+    card(domain, "join")
+}
+
+fn card(domain: VerifyKey, kind: &str) -> Result<NameCard, CardError> {
+    NameCard::new(domain, Metadata::from([("kind".to_owned(), kind.to_owned())]))
+}
+
+fn entity(name: Name) -> Grantee {
+    Grantee::Entity(name)
+}

@@ -1,0 +1,250 @@
+//! The join service without I/O: it verifies requests, keeps the members, and makes the directory.
+//!
+//! Its own key cannot admit or enroll anybody: members verify the domain's signatures. The key can
+//! let members read the directory and the lists of topics that members delegate to it.
+
+use std::collections::BTreeMap;
+
+use gdp_core::cbor;
+use gdp_core::cbor::CborError;
+use gdp_core::cert::{
+    CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
+};
+use gdp_core::identity::SigningKey;
+use gdp_wire::Name;
+use serde::{Deserialize, Serialize};
+
+use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, Member, MemberEntry};
+use crate::entity;
+use crate::messages::{Join, JoinReply, JoinRequest, OfferedCatalog};
+
+/// Validity in seconds of the grants for catalogs. They are issued again after half of it.
+const GRANT_LIFETIME: u64 = 24 * 3600;
+
+/// Seconds by which a validity begins earlier, because clocks differ.
+const BACKDATED: u64 = 300;
+
+/// The join service of one domain.
+pub struct JoinService {
+    key: SigningKey,
+    domain: Name,
+    delegations: Delegations,
+    members: BTreeMap<Name, Enrolled>,
+    /// Grants for catalogs, by catalog and reader.
+    grants: BTreeMap<(Name, Name), IssuedGrant>,
+    /// The newest enrollments that the domain's key signed, by the serial of the member.
+    newest: BTreeMap<u64, Signed<Enrollment>>,
+    revocation: Option<Revocation>,
+}
+
+/// What the domain lets the key of the join service grant.
+#[derive(Clone, Debug)]
+pub struct Delegations {
+    /// To read the directory.
+    pub directory: Signed<Delegation>,
+    /// To call the join service.
+    pub join: Signed<Delegation>,
+}
+
+/// A member as the join service stores it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Enrolled {
+    membership: Membership,
+    enrollment: Signed<Enrollment>,
+    catalog: Option<OfferedCatalog>,
+}
+
+struct IssuedGrant {
+    grant: Issued<ReadGrant>,
+    /// Time of issue in Unix seconds.
+    issued: u64,
+}
+
+/// A row of the directory, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MemberRow {
+    pub entity: Name,
+    pub enrollment: Enrollment,
+    pub catalog: Option<Name>,
+}
+
+impl JoinService {
+    pub fn new(key: SigningKey, domain: Name, delegations: Delegations) -> Self {
+        let (members, grants, newest) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        Self { key, domain, delegations, members, grants, newest, revocation: None }
+    }
+
+    /// Restores the members from [`Self::to_bytes`].
+    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), CborError> {
+        self.members = cbor::decode::<Vec<(Name, Enrolled)>>(bytes, MAX_DIRECTORY)?.into_iter().collect();
+        Ok(())
+    }
+
+    /// Returns the members in a form to be stored.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CborError> {
+        cbor::encode(&self.members.iter().collect::<Vec<_>>())
+    }
+
+    /// Applies the newest revocation of the domain. Returns true if it removes a member.
+    pub fn revoke(&mut self, revocation: Revocation) -> bool {
+        let before = self.members.len();
+        self.members.retain(|_, enrolled| enrolled.membership.check_revoked(Some(&revocation)).is_ok());
+        self.revocation = Some(revocation);
+        before != self.members.len()
+    }
+
+    /// Takes an enrollment that the domain signed for a member, which may not have joined yet.
+    /// Returns true if it replaces the enrollment of one that has.
+    pub fn enroll(&mut self, enrollment: Signed<Enrollment>) -> bool {
+        let Ok(claims) = enrollment.claims_unverified() else { return false };
+        let older = |known: &Signed<Enrollment>| {
+            known.claims_unverified().is_ok_and(|known| known.member == claims.member && known.serial < claims.serial)
+        };
+        if self.newest.get(&claims.member).is_some_and(|known| !older(known)) {
+            return false;
+        }
+        let replaced = self.members.values_mut().find(|enrolled| older(&enrolled.enrollment));
+        let is_member = replaced.map(|enrolled| enrolled.enrollment = enrollment.clone()).is_some();
+        self.newest.insert(claims.member, enrollment);
+        is_member
+    }
+
+    /// Answers a request of `caller` at `now` (Unix nanoseconds). The caller of this function
+    /// stores and publishes the directory before it sends a reply other than a refusal.
+    pub fn answer(&mut self, caller: Name, request: JoinRequest, now: u64) -> JoinReply {
+        let answered = match request {
+            JoinRequest::Join(join) => self.join(caller, *join, now),
+            JoinRequest::Leave => {
+                self.members.remove(&caller);
+                return JoinReply::Left;
+            }
+        };
+        answered.unwrap_or_else(JoinReply::Refused)
+    }
+
+    fn join(&mut self, caller: Name, join: Join, now: u64) -> Result<JoinReply, String> {
+        let Join { membership, mut enrollment, catalog } = join;
+        let said = |error: CertError| error.to_string();
+        let (_, invited) = enrollment.verify_for(self.domain, &membership, now / 1_000_000_000).map_err(said)?;
+        // The domain may have signed other topics since the invitation.
+        if let Some(newest) = self.newest.get(&invited.member) {
+            enrollment = newest.clone();
+        }
+        let (member, claims) = enrollment.verify_for(self.domain, &membership, now / 1_000_000_000).map_err(said)?;
+        membership.check_revoked(self.revocation.as_ref()).map_err(said)?;
+        if member != caller {
+            return Err(format!("the membership is of {member:#}, and {caller:#} shows it"));
+        }
+        if claims.join_service != self.key.verify_key() {
+            return Err("the enrollment names another join service; have another invitation made".into());
+        }
+        let same = |enrolled: &Enrolled| {
+            enrolled.enrollment.claims_unverified().is_ok_and(|other| other.member == claims.member)
+        };
+        if let Some((other, _)) = self.members.iter().find(|(entity, enrolled)| **entity != caller && same(enrolled)) {
+            return Err(format!("the invitation has enrolled {other:#}, and it enrolls one; have another one made"));
+        }
+        if self.members.len() >= MAX_MEMBERS && !self.members.contains_key(&caller) {
+            return Err(format!("the directory has {MAX_MEMBERS} members, and no room for another"));
+        }
+        if let Some(OfferedCatalog { name, delegation }) = &catalog {
+            let card = name.card().map_err(|error| error.to_string())?;
+            let delegation = delegation.verify(card.owner_key(), now / 1_000_000_000).map_err(said)?;
+            if delegation.name != card.name() || delegation.delegate != self.key.verify_key() || !delegation.read {
+                return Err("the delegation does not let the join service grant the catalog".into());
+            }
+        }
+        self.members.insert(caller, Enrolled { membership, enrollment, catalog });
+        let until = claims.not_after;
+        let directory = self.grant(&self.delegations.directory, caller, until, now).map_err(said)?.into();
+        let call = self.grant(&self.delegations.join, caller, until, now).map_err(said)?.into();
+        Ok(JoinReply::Joined { directory, call })
+    }
+
+    /// Makes the directory at `now` (Unix nanoseconds), without expired members. Grants for
+    /// catalogs are issued again after half of their validity.
+    pub fn directory(&mut self, now: u64) -> Result<Directory, CertError> {
+        let members = self.members(now / 1_000_000_000);
+        let mut grants = std::mem::take(&mut self.grants);
+        let (mut kept, mut entries) = (BTreeMap::new(), Vec::new());
+        for (member, enrolled) in &members {
+            let mut entry = MemberEntry {
+                membership: enrolled.membership.clone(),
+                enrollment: enrolled.enrollment.clone(),
+                catalog: enrolled.catalog.as_ref().map(|catalog| catalog.name.clone()),
+                grants: Vec::new(),
+            };
+            let (Some(catalog), Some(offered)) = (&member.catalog, &enrolled.catalog) else {
+                entries.push(entry);
+                continue;
+            };
+            let is_reader =
+                |reader: &&Member| reader.entity != member.entity && !member.readable_by(&reader.enrollment).is_empty();
+            for reader in members.iter().map(|(reader, _)| reader).filter(is_reader) {
+                let key = (catalog.name(), reader.entity);
+                let known = grants.remove(&key).filter(|grant| !grant.is_old(now));
+                let grant = match known {
+                    Some(grant) => grant,
+                    None => {
+                        let until = now / 1_000_000_000 + GRANT_LIFETIME;
+                        let grant = self.grant(&offered.delegation, reader.entity, until, now)?;
+                        IssuedGrant { grant, issued: now / 1_000_000_000 }
+                    }
+                };
+                entry.grants.push(grant.grant.clone());
+                kept.insert(key, grant);
+            }
+            entries.push(entry);
+        }
+        self.grants = kept;
+        Ok(Directory::new(entries))
+    }
+
+    /// Returns the members whose certificates hold at `now` (Unix seconds).
+    pub fn rows(&self, now: u64) -> Vec<MemberRow> {
+        let row = |(Member { entity, enrollment, catalog, .. }, _)| MemberRow {
+            entity,
+            enrollment,
+            catalog: catalog.map(|card| card.name()),
+        };
+        self.members(now).into_iter().map(row).collect()
+    }
+
+    fn members(&self, now: u64) -> Vec<(Member, Enrolled)> {
+        let member = |(entity, enrolled): (&Name, &Enrolled)| {
+            let (_, enrollment) = enrolled.enrollment.verify_for(self.domain, &enrolled.membership, now).ok()?;
+            let catalog = enrolled.catalog.as_ref().and_then(|offered| offered.name.card().ok());
+            Some((Member { entity: *entity, enrollment, catalog, grant: None }, enrolled.clone()))
+        };
+        self.members.iter().filter_map(member).collect()
+    }
+
+    /// Issues a grant under a delegation to this service's key. `now` is in Unix nanoseconds.
+    fn grant(
+        &self,
+        delegation: &Signed<Delegation>,
+        to: Name,
+        not_after: u64,
+        now: u64,
+    ) -> Result<Issued<ReadGrant>, CertError> {
+        let delegated = delegation.claims_unverified()?;
+        let (name, to, serial) = (delegated.name, entity(to), now.max(delegated.serial));
+        let not_before = (now / 1_000_000_000).saturating_sub(BACKDATED);
+        let not_after = not_after.min(delegated.validity().not_after);
+        let cert = issue(&self.key, &ReadGrant { name, to, serial, not_before, not_after })?;
+        Ok(Issued { cert, delegation: Some(delegation.clone()) })
+    }
+}
+
+impl IssuedGrant {
+    /// Whether half of the validity has passed, or the clock was set back. `now` is in Unix
+    /// nanoseconds.
+    fn is_old(&self, now: u64) -> bool {
+        !(self.issued..self.issued + GRANT_LIFETIME / 2).contains(&(now / 1_000_000_000))
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/service.rs"]
+mod tests;

@@ -1,0 +1,240 @@
+//! Who enters the directory, who leaves it, and whom it lets read what.
+
+use super::*;
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Invite, TopicsOf};
+use gdp_core::domain::{Enrolling, Token};
+use gdp_core::identity::Identity;
+
+use crate::directory::CatalogName;
+use crate::{directory_card, join_card};
+
+const NOW: u64 = 1_800_000_000;
+const NANOS: u64 = NOW * 1_000_000_000;
+
+struct Domain {
+    identity: Identity,
+    service: JoinService,
+    key: SigningKey,
+    serial: u64,
+}
+
+/// A machine with what it shows the join service.
+struct Machine {
+    entity: Name,
+    request: Join,
+}
+
+impl Domain {
+    fn new() -> Self {
+        let identity = Identity::generate("domain").unwrap();
+        let key = SigningKey::generate().unwrap();
+        let delegate = |card: NameCard| {
+            let delegation = Delegation {
+                name: card.name(),
+                delegate: key.verify_key(),
+                publish: false,
+                read: true,
+                serial: NANOS,
+                not_before: NOW - 60,
+                not_after: NOW + 1_000_000,
+            };
+            issue(identity.key(), &delegation).unwrap()
+        };
+        let domain_key = identity.key().verify_key();
+        let delegations = Delegations {
+            directory: delegate(directory_card(domain_key).unwrap()),
+            join: delegate(join_card(domain_key).unwrap()),
+        };
+        let service = JoinService::new(key.clone(), identity.name(), delegations);
+        Self { identity, service, key, serial: NANOS }
+    }
+
+    fn invite(&mut self, label: &str, import: Vec<TopicsOf>, read: Vec<TopicsOf>) -> Token {
+        self.serial += 1;
+        let (domain, serial, invited) = (self.identity.name(), self.serial, SigningKey::generate().unwrap());
+        let (not_before, not_after, member_until) = (NOW - 60, NOW + 600, NOW + 1_000_000);
+        let (key, role) = (invited.verify_key(), "robot".to_owned());
+        let invite = Invite { domain, key, role, serial, not_before, not_after, member_until };
+        let enrollment = Enrollment {
+            domain,
+            member: serial,
+            label: label.into(),
+            expose: vec!["/camera/**".into()],
+            import,
+            read,
+            join_service: self.key.verify_key(),
+            serial,
+            not_before,
+            not_after: member_until,
+        };
+        let name = join_card(self.identity.key().verify_key()).unwrap().name();
+        let call = Delegation { name, delegate: key, publish: false, read: true, serial, not_before, not_after };
+        let signer = self.identity.key();
+        let enrolling =
+            Enrolling { enrollment: issue(signer, &enrollment).unwrap(), call: issue(signer, &call).unwrap() };
+        let at = "udp://192.0.2.1:31415".parse().unwrap();
+        let token = Token::new(self.identity.proof(), issue(signer, &invite).unwrap(), invited, at, None).unwrap();
+        let line = token.enroll(enrolling).unwrap().to_line();
+        Token::from_line(&line).unwrap()
+    }
+
+    fn machine(&self, token: &Token) -> Machine {
+        let (entity, owner) = (Identity::generate("proxy").unwrap().name(), SigningKey::generate().unwrap());
+        let card = NameCard::create(owner.verify_key(), "catalog", "/x", "", None).unwrap();
+        let delegation = Delegation {
+            name: card.name(),
+            delegate: self.key.verify_key(),
+            publish: false,
+            read: true,
+            serial: NANOS,
+            not_before: NOW - 60,
+            not_after: NOW + 1_000_000,
+        };
+        let catalog =
+            OfferedCatalog { name: CatalogName::from(&card), delegation: issue(&owner, &delegation).unwrap() };
+        let request = Join {
+            membership: token.admit(entity, NOW - 60, NANOS + 1000).unwrap(),
+            enrollment: token.enrolling().unwrap().enrollment.clone(),
+            catalog: Some(catalog),
+        };
+        Machine { entity, request }
+    }
+
+    fn join(&mut self, machine: &Machine) -> JoinReply {
+        self.service.answer(machine.entity, JoinRequest::Join(machine.request.clone().into()), NANOS)
+    }
+
+    fn members(&mut self, reader: Name) -> Vec<Member> {
+        let bytes = self.service.directory(NANOS).unwrap().to_bytes().unwrap();
+        Directory::from_bytes(&bytes).unwrap().members(self.identity.name(), reader, NOW)
+    }
+}
+
+fn all() -> Vec<TopicsOf> {
+    vec![TopicsOf { member: "*".into(), topics: vec!["/**".into()] }]
+}
+
+fn from_server() -> Vec<TopicsOf> {
+    vec![TopicsOf { member: "server".into(), topics: vec!["/cmd_vel".into()] }]
+}
+
+#[track_caller]
+fn refused(reply: JoinReply, why: &str) {
+    match reply {
+        JoinReply::Refused(reason) => assert!(reason.contains(why), "{reason}"),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn members_read_what_the_domain_enrolled_them_for() {
+    let mut home = Domain::new();
+    let (server, robot) = (home.invite("server", vec![], all()), home.invite("robot7", from_server(), vec![]));
+    let (server, robot) = (home.machine(&server), home.machine(&robot));
+    for machine in [&server, &robot] {
+        let JoinReply::Joined { directory, call } = home.join(machine) else { panic!("refused") };
+        let domain = home.identity.key().verify_key();
+        for (grant, card) in [(directory, directory_card(domain)), (call, join_card(domain))] {
+            let grant = grant.verify(&card.unwrap().proof(), None, NOW).unwrap();
+            assert_eq!(grant.to, entity(machine.entity));
+        }
+    }
+    let members = home.members(server.entity);
+    let labels: Vec<_> = members.iter().map(|member| member.enrollment.label.as_str()).collect();
+    assert_eq!(labels, ["robot7", "server"]);
+    let [at_robot, at_server] = &members[..] else { panic!() };
+    assert!(at_robot.grant.is_some() && at_server.grant.is_none(), "for the server's eyes");
+    assert_eq!(at_robot.readable_by(&at_server.enrollment), ["/**"]);
+    assert_eq!(at_server.readable_by(&at_robot.enrollment), ["/robot7/cmd_vel"]);
+    let imported: Vec<_> = at_server.imported_by(&at_robot.enrollment).collect();
+    assert_eq!(imported, [("/robot7/cmd_vel".to_owned(), "/cmd_vel")]);
+    let members = home.members(robot.entity);
+    assert!(members[0].grant.is_none() && members[1].grant.is_some(), "for the robot's eyes");
+}
+
+#[test]
+fn an_invitation_enrolls_one_and_only_its_holder() {
+    let mut home = Domain::new();
+    let token = home.invite("robot7", vec![], vec![]);
+    let (first, second) = (home.machine(&token), home.machine(&token));
+    assert!(matches!(home.join(&first), JoinReply::Joined { .. }));
+    assert!(matches!(home.join(&first), JoinReply::Joined { .. }), "again, after an attempt that broke off");
+    refused(home.join(&second), "it enrolls one");
+
+    let thief = Machine { entity: second.entity, request: first.request.clone() };
+    refused(home.join(&thief), "shows it");
+    let other = home.invite("robot8", vec![], all());
+    let mut swapped = home.machine(&other);
+    swapped.request.enrollment = first.request.enrollment.clone();
+    refused(home.join(&swapped), "another member");
+    let mut foreign = Domain::new();
+    let stranger = foreign.invite("robot9", vec![], all());
+    let stranger = foreign.machine(&stranger);
+    refused(home.join(&stranger), "domain");
+}
+
+#[test]
+fn who_is_revoked_or_leaves_is_not_listed() {
+    let mut home = Domain::new();
+    let tokens = ["one", "two", "three"].map(|label| home.invite(label, vec![], vec![]));
+    let machines = tokens.map(|token| home.machine(&token));
+    for machine in &machines {
+        assert!(matches!(home.join(machine), JoinReply::Joined { .. }));
+    }
+    let revoked = machines[0].request.membership.serial_unverified().unwrap();
+    let revocation = Revocation { name: home.identity.name(), number: 1, floor: 0, revoked: vec![revoked] };
+    assert!(home.service.revoke(revocation.clone()));
+    assert!(!home.service.revoke(revocation));
+    refused(home.join(&machines[0]), "revo");
+    assert_eq!(home.service.answer(machines[1].entity, JoinRequest::Leave, NANOS), JoinReply::Left);
+    let labels: Vec<_> = home.service.rows(NOW).into_iter().map(|row| row.enrollment.label).collect();
+    assert_eq!(labels, ["three"]);
+    assert!(home.service.rows(NOW + 2_000_000).is_empty(), "all have expired");
+}
+
+#[test]
+fn a_catalog_that_is_not_delegated_is_refused() {
+    let mut home = Domain::new();
+    let token = home.invite("robot7", vec![], vec![]);
+    let mut machine = home.machine(&token);
+    let other = home.machine(&token);
+    machine.request.catalog.as_mut().unwrap().delegation = other.request.catalog.unwrap().delegation;
+    assert!(matches!(home.join(&machine), JoinReply::Refused(_)));
+}
+
+#[test]
+fn members_and_grants_outlive_a_restart() {
+    let mut home = Domain::new();
+    let (server, robot) = (home.invite("server", vec![], all()), home.invite("robot7", from_server(), vec![]));
+    for token in [server, robot] {
+        let machine = home.machine(&token);
+        home.join(&machine);
+    }
+    let published = home.service.directory(NANOS).unwrap();
+    assert_eq!(home.service.directory(NANOS + 1).unwrap(), published, "nothing is issued again at once");
+    let later = home.service.directory(NANOS + (GRANT_LIFETIME / 2) * 1_000_000_000).unwrap();
+    assert_ne!(later, published, "grants are issued again after half of their validity");
+    let mut again = JoinService::new(home.key.clone(), home.identity.name(), home.service.delegations.clone());
+    again.restore(&home.service.to_bytes().unwrap()).unwrap();
+    assert_eq!(again.rows(NOW), home.service.rows(NOW));
+    assert!(again.restore(b"nonsense").is_err());
+}
+
+#[test]
+fn the_domain_may_enroll_a_member_for_other_topics() {
+    let mut home = Domain::new();
+    let (joined, later) = (home.invite("robot7", vec![], vec![]), home.invite("robot8", vec![], vec![]));
+    let (joined, later) = (home.machine(&joined), home.machine(&later));
+    assert!(matches!(home.join(&joined), JoinReply::Joined { .. }));
+    for machine in [&joined, &later] {
+        let claims = machine.request.enrollment.claims_unverified().unwrap();
+        let claims = Enrollment { serial: claims.serial + 100, expose: vec!["/odom".into()], ..claims };
+        let is_member = home.service.enroll(issue(home.identity.key(), &claims).unwrap());
+        assert_eq!(is_member, machine.entity == joined.entity);
+    }
+    assert!(matches!(home.join(&later), JoinReply::Joined { .. }), "with the invitation as it was");
+    assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));
+    assert!(!home.service.enroll(joined.request.enrollment.clone()), "an older one");
+    assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));
+}

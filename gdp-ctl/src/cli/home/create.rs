@@ -1,0 +1,137 @@
+//! Makes what a domain with one server needs. What exists stays, so it may run again.
+
+use std::net::SocketAddr;
+use std::path::Path;
+
+use anyhow::Context as _;
+use gdp_core::cert::domain::roles;
+use gdp_core::cert::{AdCert, Claims, Delegation, MemberCert, Membership, Signed, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::secret_file;
+use gdp_directory::{directory_card, join_card};
+use gdp_util::escape::escape_json;
+use gdp_util::unix_time::unix_seconds;
+use gdp_wire::Name;
+
+use super::{DAY, DomainAddress, Home};
+use crate::cli::domain::{Issue, To, create_domain};
+use crate::cli::issuing::validity;
+
+/// Validity in seconds of what the domain issues to its own server.
+const LIFETIME: u64 = 365 * DAY;
+
+/// The choices of `gdp-ctl up`.
+pub struct DomainOptions<'a> {
+    /// Host, or host and port, that members dial.
+    pub at: &'a str,
+    pub udp: SocketAddr,
+    pub xdp: bool,
+    pub socket: Option<&'a Path>,
+}
+
+/// The entities of the server.
+pub struct Made {
+    pub domain: Name,
+    pub switch: Name,
+    /// Whether the domain is new.
+    pub is_new: bool,
+}
+
+impl Home {
+    pub fn create(&self, wanted: &DomainOptions) -> anyhow::Result<Made> {
+        std::fs::create_dir_all(self.folder()).with_context(|| format!("cannot create {}", self.folder().display()))?;
+        let is_new = !self.path("domain.pem").exists();
+        if is_new {
+            create_domain(self.folder())?;
+        }
+        let switch = Identity::load_or_generate(&self.path("switch.pem"), "switch")?;
+        let join = Identity::load_or_generate(&self.path("join.pem"), "tool")?;
+        self.admit(&switch, roles::RIB, "switch")?;
+        self.admit(&join, "join", "join")?;
+        self.certify_join_service(&join)?;
+        let domain = self.card()?.name();
+        let at =
+            if wanted.at.contains(':') { wanted.at.to_owned() } else { format!("{}:{}", wanted.at, wanted.udp.port()) };
+        let address = DomainAddress { at: format!("udp://{at}"), switch: switch.name(), port: wanted.udp.port() };
+        address.target()?;
+        self.replace("address", &serde_json::to_string(&address)?)?;
+        self.replace("gdp.yaml", &wanted.configuration()?)?;
+        Ok(Made { domain, switch: switch.name(), is_new })
+    }
+
+    fn replace(&self, name: &str, text: &str) -> anyhow::Result<()> {
+        Ok(secret_file::replace(&self.path(name), text.as_bytes())?)
+    }
+
+    /// Issues the membership of an entity of this server, unless half of the last one is left.
+    fn admit(&self, identity: &Identity, role: &str, label: &str) -> anyhow::Result<()> {
+        let file = self.path(&format!("{label}.member"));
+        let known = std::fs::read_to_string(&file).ok().and_then(|text| Membership::from_pem(&text).ok());
+        let until = known.and_then(|known| known.cert.claims_unverified().ok()).map_or(0, |claims| claims.not_after);
+        if is_fresh(until) {
+            return Ok(());
+        }
+        let authority = self.authority()?;
+        let (not_before, not_after) = validity(LIFETIME);
+        let (domain, entity, role, serial) =
+            (authority.identity.name(), identity.name(), role.to_owned(), authority.serial);
+        let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
+        let membership = Membership::issue(&authority.identity, &claims)?;
+        let (to, file) = (To::Member { entity, role }, Some(file));
+        let label = Some(label.to_owned());
+        authority.remember(Issue { serial, to, label, not_before, not_after, ends: not_after, file: file.clone() })?;
+        self.replace_file(file.as_deref(), &membership.to_pem())
+    }
+
+    fn replace_file(&self, file: Option<&Path>, text: &str) -> anyhow::Result<()> {
+        file.map_or(Ok(()), |file| Ok(secret_file::replace(file, text.as_bytes())?))
+    }
+
+    /// Lets the join service serve its name, publish the directory, and grant both to members.
+    fn certify_join_service(&self, join: &Identity) -> anyhow::Result<()> {
+        let known = self.signed::<AdCert>("join.cert").and_then(|signed| Ok(signed.claims_unverified()?));
+        if known.is_ok_and(|claims| is_fresh(claims.not_after)) {
+            return Ok(());
+        }
+        let authority = self.authority()?;
+        let key = authority.identity.key();
+        for (label, card) in [("directory", directory_card(key.verify_key())?), ("join", join_card(key.verify_key())?)]
+        {
+            let (name, serial, (not_before, not_after)) = (card.name(), authority.serial, validity(LIFETIME));
+            let (entity, delegate) = (join.name(), join.key().verify_key());
+            let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
+            let delegation = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
+            self.replace(&format!("{label}.delegation"), &issue(key, &delegation)?.to_pem())?;
+            self.replace(&format!("{label}.cert"), &signed(key, &cert)?.to_pem())?;
+        }
+        Ok(())
+    }
+}
+
+fn signed<T: Claims>(key: &SigningKey, claims: &T) -> anyhow::Result<Signed<T>> {
+    Ok(issue(key, claims)?)
+}
+
+/// Whether more than half of the lifetime is left.
+fn is_fresh(until: u64) -> bool {
+    until.saturating_sub(LIFETIME / 2) > unix_seconds()
+}
+
+impl DomainOptions<'_> {
+    fn configuration(&self) -> anyhow::Result<String> {
+        let quoted = |text: String| escape_json(&serde_json::json!(text).to_string()).into_owned();
+        let mut text = format!(
+            "identity: switch.pem\nudp: {}\nrib: true\n\
+             domain: {{card: domain.card, membership: switch.member, members_only: true}}\n",
+            quoted(self.udp.to_string())
+        );
+        if let Some(socket) = self.socket {
+            let socket = std::path::absolute(socket).with_context(|| socket.display().to_string())?;
+            text += &format!("socket: {}\n", quoted(socket.display().to_string()));
+        }
+        if !self.xdp {
+            text += "data_plane: userspace\n";
+        }
+        Ok(text)
+    }
+}

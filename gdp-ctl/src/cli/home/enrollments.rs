@@ -1,0 +1,58 @@
+//! The newest Enrollment of each label, in one file. The join service takes what is signed for its
+//! members from there.
+
+use std::collections::BTreeMap;
+
+use anyhow::Context as _;
+use gdp_core::cert::{Enrollment, Signed};
+use gdp_core::secret_file;
+use gdp_core::secret_file::SecretFileError;
+use gdp_util::unix_time::unix_seconds;
+
+use super::Home;
+use crate::cli::domain::Issue;
+
+/// Name of the file.
+pub const FILE: &str = "enrollments";
+
+/// Maximum size of the file, in bytes.
+const MAX_FILE: usize = 8 << 20;
+
+impl Home {
+    /// Returns the enrollments by label, as text. They may be of members that are revoked.
+    fn enrollments(&self) -> anyhow::Result<BTreeMap<String, String>> {
+        let path = self.path(FILE);
+        match secret_file::read(&path, MAX_FILE) {
+            Ok(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("{}: damaged", path.display())),
+            Err(error) if SecretFileError::is_not_found(&error) => Ok(BTreeMap::new()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    pub(super) fn signed_enrollments(&self) -> anyhow::Result<Vec<Signed<Enrollment>>> {
+        let parse = |text: &String| Ok(Signed::from_pem(text)?);
+        self.enrollments()?.values().map(parse).collect()
+    }
+
+    pub(super) fn keep_enrollment(&self, label: &str, signed: &Signed<Enrollment>) -> anyhow::Result<()> {
+        let mut enrollments = self.enrollments()?;
+        enrollments.insert(label.into(), signed.to_pem());
+        Ok(secret_file::replace(&self.path(FILE), &serde_json::to_vec_pretty(&enrollments)?)?)
+    }
+
+    /// Returns the enrollments of members and invited ones that are neither revoked nor expired.
+    pub(super) fn enrolled(&self) -> anyhow::Result<BTreeMap<String, Enrollment>> {
+        let authority = self.authority()?;
+        let (now, revocation) = (unix_seconds(), authority.revocation.as_ref());
+        let holds = |issue: &&Issue| !issue.is_revoked(revocation) && issue.ends > now;
+        let serials: Vec<u64> = authority.issued.iter().filter(holds).map(|issue| issue.serial).collect();
+        let mut enrolled = BTreeMap::new();
+        for signed in self.signed_enrollments()? {
+            let claims = signed.verify_signature(&authority.identity.key().verify_key())?;
+            if serials.contains(&claims.member) {
+                enrolled.insert(claims.label.clone(), claims);
+            }
+        }
+        Ok(enrolled)
+    }
+}

@@ -1,0 +1,194 @@
+//! `gdp-ctl apply`: makes the members of the domain those of a file. It shows the difference first.
+//!
+//! Whoever is new in the file is invited, and whoever is not in it is revoked. Members whose topics
+//! differ are enrolled anew, without joining again.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read as _;
+use std::path::PathBuf;
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use gdp_core::cert::{Enrollment, TopicsOf, issue};
+use gdp_util::terminal::note;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::invite::{Terms, check_pattern, imported, topics_of};
+use super::{DAY, HOUR, Home, HomeOptions, SERVER};
+use crate::cli::context::Context;
+use crate::cli::issuing::parse_seconds;
+
+/// Maximum size of a file, in bytes.
+const MAX_FILE: u64 = 1 << 20;
+
+#[derive(Debug, Args)]
+pub struct Options {
+    /// File of the fleet (YAML).
+    #[arg(short, long, value_name = "FILE")]
+    file: PathBuf,
+    /// Make the difference. Without this, it is only shown.
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    home: HomeOptions,
+}
+
+/// The file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fleet {
+    version: u64,
+    members: BTreeMap<String, MemberTerms>,
+}
+
+/// A member in the file. The keys are those of `gdp-ctl invite`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MemberTerms {
+    #[serde(default)]
+    expose: Vec<String>,
+    #[serde(default)]
+    import: Vec<String>,
+    #[serde(default)]
+    read: Vec<String>,
+    #[serde(default, rename = "for")]
+    duration: Option<String>,
+    #[serde(default)]
+    role: Option<String>,
+}
+
+/// Output of `gdp-ctl apply`: one object for each difference.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct ApplyOutput {
+    label: String,
+    /// `invite`, `enroll` or `revoke`.
+    change: &'static str,
+    /// Whether it is made.
+    done: bool,
+    /// The line of an invitation, which is a secret. Only if it is made.
+    line: Option<String>,
+}
+
+enum Difference {
+    Invite(Terms),
+    Enroll(Enrollment),
+    Revoke,
+}
+
+impl Difference {
+    fn as_str(&self) -> &'static str {
+        match self {
+            Self::Invite(_) => "invite",
+            Self::Enroll(_) => "enroll",
+            Self::Revoke => "revoke",
+        }
+    }
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let home = options.home.home()?;
+    let fleet = load(&options.file)?;
+    let changes = changes(&home, fleet)?;
+    if changes.is_empty() {
+        note("gdp-ctl: no difference");
+    }
+    let mut revoked = Vec::new();
+    for (label, change) in changes {
+        let kind = change.as_str();
+        let line = match change {
+            _ if !options.yes => None,
+            Difference::Invite(terms) => {
+                let address = home.address()?;
+                let (token, _) = home.invite(terms, address.target()?, &address)?;
+                Some(token.to_line().to_string())
+            }
+            Difference::Enroll(enrollment) => {
+                home.reenroll(enrollment)?;
+                None
+            }
+            Difference::Revoke => {
+                revoked.push(label.clone());
+                None
+            }
+        };
+        let output = ApplyOutput { label, change: kind, done: options.yes, line };
+        context.output.print(&output, || {
+            let line = output.line.as_ref().map_or(String::new(), |line| format!(" {line}"));
+            [format!("{kind} {}{line}", output.label)]
+        })?;
+    }
+    if !revoked.is_empty() {
+        super::revoke::revoke(&home, &revoked, context)?;
+    }
+    if !options.yes {
+        note("gdp-ctl: nothing is done; add --yes to make this so");
+    }
+    Ok(())
+}
+
+fn load(path: &PathBuf) -> anyhow::Result<Fleet> {
+    let mut text = String::new();
+    let read = fs::File::open(path).and_then(|file| file.take(MAX_FILE + 1).read_to_string(&mut text));
+    if read.with_context(|| format!("{}: cannot be read", path.display()))? as u64 > MAX_FILE {
+        bail!("{}: longer than {MAX_FILE} bytes, so not a fleet", path.display());
+    }
+    let options = serde_saphyr::options! { with_snippet: false };
+    let fleet: Fleet =
+        serde_saphyr::from_str_with_options(&text, options).with_context(|| path.display().to_string())?;
+    match fleet.version {
+        1 => Ok(fleet),
+        other => bail!("{}: version {other} is not known to this release; write version: 1", path.display()),
+    }
+}
+
+/// Returns the differences between the domain and the file, in the order of labels.
+fn changes(home: &Home, fleet: Fleet) -> anyhow::Result<Vec<(String, Difference)>> {
+    let known: BTreeMap<String, Enrollment> = home.enrolled()?;
+    let mut changes = Vec::new();
+    let gone = known.keys().filter(|label| *label != SERVER && !fleet.members.contains_key(*label));
+    changes.extend(gone.map(|label| (label.clone(), Difference::Revoke)));
+    for (label, wanted) in fleet.members {
+        let (terms, enrollment) = (terms(&label, wanted).with_context(|| label.clone())?, known.get(&label));
+        let same = |enrollment: &Enrollment| {
+            (&enrollment.expose, &enrollment.import, &enrollment.read) == (&terms.expose, &terms.import, &terms.read)
+        };
+        match enrollment {
+            None => changes.push((label, Difference::Invite(terms))),
+            Some(enrollment) if same(enrollment) => {}
+            Some(enrollment) => {
+                let Terms { expose, import, read, .. } = terms;
+                let enrollment = Enrollment { expose, import, read, ..enrollment.clone() };
+                changes.push((label, Difference::Enroll(enrollment)));
+            }
+        }
+    }
+    changes.sort_by(|(a, _), (b, _)| a.cmp(b));
+    Ok(changes)
+}
+
+fn terms(label: &str, wanted: MemberTerms) -> anyhow::Result<Terms> {
+    let MemberTerms { expose, import, read, duration, role } = wanted;
+    expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
+    let duration = duration.map_or(Ok(365 * DAY), |text| parse_seconds(&text).map(u64::from));
+    Ok(Terms {
+        label: label.into(),
+        role: role.unwrap_or_else(|| "robot".into()),
+        expose,
+        import: imported(label, &import)?,
+        read: read.iter().map(|text| topics_of(text)).collect::<anyhow::Result<Vec<TopicsOf>>>()?,
+        duration: duration.map_err(anyhow::Error::msg)?,
+        within: 24 * HOUR,
+    })
+}
+
+impl Home {
+    /// Signs other topics for a member. The join service lists them at once.
+    fn reenroll(&self, enrollment: Enrollment) -> anyhow::Result<()> {
+        let authority = self.authority()?;
+        let enrollment = Enrollment { serial: authority.serial, ..enrollment };
+        self.record("enroll", &enrollment.label, &[enrollment.member])?;
+        self.keep_enrollment(&enrollment.label, &issue(authority.identity.key(), &enrollment)?)
+    }
+}

@@ -1,0 +1,131 @@
+//! The commands of a domain's administrator: `up`, `invite`, `robots` and `revoke`, and the join
+//! service. They keep everything of the domain in one folder.
+//!
+//! | file | content |
+//! | --- | --- |
+//! | `domain.pem`, `domain.card` | the domain's key, and its card with the ledger beside it |
+//! | `switch.pem`, `switch.member`, `gdp.yaml` | the switch with the RIB |
+//! | `join.pem`, `join.member`, `join.cert`, `join.delegation`, `directory.*` | the join service |
+//! | `enrollments` | the newest Enrollment of each label |
+//! | `directory.members` | the members that have joined |
+//! | `audit.log` | what was issued and revoked, a JSON object a line |
+//! | `address` | the address that members dial, and the switch there |
+//! | `server/` | keys and configuration of this machine's own proxy |
+
+mod admin;
+mod create;
+mod enrollments;
+mod fleet;
+mod invite;
+mod join_service;
+mod revoke;
+mod robots;
+mod up;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Args;
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Claims, Signed};
+use gdp_core::link_target::LinkTarget;
+use gdp_wire::Name;
+use serde::{Deserialize, Serialize};
+
+use super::domain::Authority;
+
+pub use admin::{BackupOutput, LogOutput};
+pub use fleet::ApplyOutput;
+pub use invite::InviteOutput;
+pub use robots::RobotsOutput;
+pub use {admin::Command as AdminCommand, admin::run as admin};
+pub use {fleet::Options as ApplyOptions, fleet::run as apply};
+pub use {invite::Options as InviteOptions, invite::run as invite};
+pub use {join_service::Options as JoinServiceOptions, join_service::run as join_service};
+pub use {revoke::Options as RevokeOptions, revoke::run as revoke};
+pub use {robots::Options as RobotsOptions, robots::run as robots};
+pub use {up::Options as UpOptions, up::run as up};
+
+/// Label of this machine's own proxy, from which members import.
+const SERVER: &str = "server";
+
+const DAY: u64 = 86400;
+const HOUR: u64 = 3600;
+
+#[derive(Debug, Args)]
+pub struct HomeOptions {
+    /// Folder of the domain's keys and files. Default: /etc/gdp/home for root, else
+    /// ~/.config/gdp/home.
+    #[arg(long, value_name = "FOLDER", env = "GDP_HOME")]
+    dir: Option<PathBuf>,
+}
+
+impl HomeOptions {
+    fn home(&self) -> anyhow::Result<Home> {
+        let default = || Some(gdp_util::folders::configuration()?.join("home"));
+        let folder = self.dir.clone().or_else(default).context("no place for the domain: say where with --dir")?;
+        Ok(Home(folder))
+    }
+}
+
+/// The folder of a domain.
+struct Home(PathBuf);
+
+/// Where members find the domain.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DomainAddress {
+    at: String,
+    switch: Name,
+    /// The port of the switch on this machine.
+    port: u16,
+}
+
+impl Home {
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    fn folder(&self) -> &Path {
+        &self.0
+    }
+
+    /// Opens the domain's key and ledger, and locks them.
+    fn authority(&self) -> anyhow::Result<Authority> {
+        let key = self.path("domain.pem");
+        if !key.exists() {
+            anyhow::bail!(
+                "there is no domain in {}: make one with `gdp-ctl up`, or say where with --dir",
+                self.0.display()
+            );
+        }
+        Authority::open(&key, None)
+    }
+
+    fn card(&self) -> anyhow::Result<NameCard> {
+        Ok(NameCard::load(&self.path("domain.card"))?)
+    }
+
+    /// Returns the path of the domain's newest revocation, which exists after the first one.
+    fn revocation_path(&self) -> PathBuf {
+        self.path("domain.card.revocation")
+    }
+
+    fn address(&self) -> anyhow::Result<DomainAddress> {
+        let path = self.path("address");
+        let text = std::fs::read_to_string(&path).with_context(|| format!("{}: run `gdp-ctl up`", path.display()))?;
+        serde_json::from_str(&text).with_context(|| path.display().to_string())
+    }
+
+    fn signed<T: Claims>(&self, name: &str) -> anyhow::Result<Signed<T>> {
+        let path = self.path(name);
+        let text = std::fs::read_to_string(&path).with_context(|| format!("{}: run `gdp-ctl up`", path.display()))?;
+        Signed::from_pem(&text).with_context(|| path.display().to_string())
+    }
+}
+
+impl DomainAddress {
+    fn target(&self) -> anyhow::Result<LinkTarget> {
+        self.at.parse().with_context(|| format!("address: {} is no address", self.at))
+    }
+}

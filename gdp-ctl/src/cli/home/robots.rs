@@ -1,0 +1,102 @@
+//! `gdp-ctl robots`: the members of the domain by label.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use clap::Args;
+use gdp_core::cert::TopicsOf;
+use gdp_core::name::NamePrefix;
+use gdp_directory::service::MemberRow;
+use gdp_util::unix_time::unix_seconds;
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::{HomeOptions, join_service};
+use crate::cli::context::Context;
+use crate::cli::domain::{Issue, To};
+use crate::cli::{output, query};
+
+#[derive(Debug, Args)]
+pub struct Options {
+    #[command(flatten)]
+    home: HomeOptions,
+}
+
+/// Output of `gdp-ctl robots`.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct RobotsOutput {
+    members: Vec<MemberOutput>,
+}
+
+/// A member, or whoever is invited as one.
+#[derive(Debug, Serialize, JsonSchema)]
+struct MemberOutput {
+    label: String,
+    /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `expired`
+    /// or `revoked`.
+    state: &'static str,
+    /// None if it has not joined.
+    entity: Option<Name>,
+    expose: Vec<String>,
+    /// Each with the label of the other member.
+    import: Vec<String>,
+    read: Vec<String>,
+    /// End of the membership, in Unix seconds.
+    until: u64,
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let home = options.home.home()?;
+    let authority = home.authority()?;
+    let now = unix_seconds();
+    let joined: BTreeMap<u64, MemberRow> =
+        join_service::stored(&home)?.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
+    let online = online(&joined, context);
+    let is_member = |issue: &&Issue| matches!(issue.to, To::Invited { .. }) && issue.label.is_some();
+    let member = |issue: &Issue| {
+        let row = joined.get(&issue.serial);
+        let state = match (row, &online) {
+            _ if issue.is_revoked(authority.revocation.as_ref()) => "revoked",
+            (Some(row), Some(online)) if online.contains(&row.entity) => "online",
+            (Some(_), Some(_)) => "offline",
+            (Some(_), None) => "joined",
+            (None, _) if now > issue.not_after => "expired",
+            (None, _) => "invited",
+        };
+        let of = |rules: &[TopicsOf]| rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect();
+        MemberOutput {
+            label: issue.label.clone().unwrap_or_default(),
+            state,
+            entity: row.map(|row| row.entity),
+            expose: row.map_or_else(Vec::new, |row| row.enrollment.expose.clone()),
+            import: row.map_or_else(Vec::new, |row| of(&row.enrollment.import)),
+            read: row.map_or_else(Vec::new, |row| of(&row.enrollment.read)),
+            until: issue.ends,
+        }
+    };
+    let members: Vec<MemberOutput> = authority.issued.iter().filter(is_member).map(member).collect();
+    let output = RobotsOutput { members };
+    context.output.print(&output, || {
+        let row = |member: &MemberOutput| {
+            let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
+            let days = member.until.saturating_sub(now).div_ceil(86400);
+            let lists = [&member.expose, &member.import, &member.read];
+            let [expose, import, read] =
+                lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
+            [member.label.clone(), member.state.to_owned(), entity, expose, import, read, format!("{days} d")]
+        };
+        let rows: Vec<_> = output.members.iter().map(row).collect();
+        output::table(["label", "state", "entity", "exposes", "imports", "reads", "ends in"], &rows)
+    })
+}
+
+/// Returns the entities that publish their catalog now. `None` if no daemon answers.
+fn online(joined: &BTreeMap<u64, MemberRow>, context: &Context) -> Option<BTreeSet<Name>> {
+    let mut client = context.client().ok()?;
+    let mut online = BTreeSet::new();
+    for catalog in joined.values().filter_map(|row| row.catalog) {
+        let (records, _) = query::ask(&mut client, &NamePrefix::from(catalog)).ok()?;
+        online.extend(records.iter().filter_map(|record| record.entity.name().ok()));
+    }
+    Some(online)
+}

@@ -1,0 +1,276 @@
+//! Two people: one starts a server and invites a robot, the other joins with the printed line.
+//! Robot and laptop are behind NAT, so their ROS graphs and the server's do not meet by multicast.
+//!
+//! ```text
+//!   robot:w0 ──── i0:nat:o0 ──── e0:server:a0 ──── o0:nat:i0 ──── w0:alice
+//!   192.168.5.7     10.9.0.2     10.9.0.1          10.9.1.2       192.168.5.7
+//! ```
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use gdp_tests::Tools;
+use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::process::Process;
+use gdp_tests::wait::TIMEOUT;
+use serde_json::Value;
+
+const AT: &str = "10.9.0.1";
+
+#[test]
+fn a_robot_joins_in_two_commands_each_and_both_directions_flow() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.invite("robot7", &["--expose", "/chatter,/camera/**", "--import", "/cmd_vel"])?;
+    let joined = Instant::now();
+    scene.join("robot7", &line)?;
+    assert_eq!((scene.at_server, scene.at_members), (2, 1), "commands: up, invite; join");
+
+    let robot = &scene.robot.inside;
+    let _talker = scene.talk(robot, "rt/chatter", 64, 20.0)?;
+    let mut hears = scene.listen(&scene.server, "rt/robot7/chatter")?;
+    first(&mut hears)?;
+    println!("first message {} ms after join", joined.elapsed().as_millis());
+    let _camera = scene.talk(robot, "rt/camera/image", 900_000, 15.0)?;
+    first(&mut scene.listen(&scene.server, "rt/robot7/camera/image")?).context("the camera")?;
+    let _commands = scene.talk(&scene.server, "rt/robot7/cmd_vel", 64, 20.0)?;
+    first(&mut scene.listen(robot, "rt/cmd_vel")?).context("the commands")?;
+
+    // What nobody invited the robot to expose does not arrive, although the topic is there.
+    let _secret = scene.talk(robot, "rt/secret", 64, 20.0)?;
+    let secret = scene.listen(&scene.server, "rt/robot7/secret")?;
+    std::thread::sleep(Duration::from_secs(2));
+    ensure!(!has_message(&secret), "a topic that was not exposed");
+
+    let robots = scene.robots()?;
+    ensure!(state_of(&robots, "robot7")? == "online" && state_of(&robots, "server")? == "online", "{robots}");
+    Ok(())
+}
+
+#[test]
+fn a_member_is_revoked_by_its_label_and_its_line_is_worth_nothing() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.invite("robot7", &["--expose", "/chatter"])?;
+    let refused = scene.ctl(&["invite", "robot7", "--expose", "/chatter"]);
+    ensure!(refused.unwrap_err().to_string().contains("gdp-ctl revoke robot7"), "a label names one member");
+    scene.join("robot7", &line)?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
+    let mut hears = scene.listen(&scene.server, "rt/robot7/chatter")?;
+    first(&mut hears)?;
+
+    let stolen = scene.try_join("thief", &line, &scene.alice.inside)?;
+    ensure!(stolen.contains("has admitted") || stolen.contains("admits one"), "a used line: {stolen}");
+
+    scene.ctl(&["revoke", "robot7"])?;
+    let silent = Instant::now() + TIMEOUT;
+    let mut count = hears.json_lines().len();
+    loop {
+        std::thread::sleep(Duration::from_secs(1));
+        let now = hears.json_lines().len();
+        if now == count {
+            break;
+        }
+        count = now;
+        ensure!(Instant::now() < silent, "a revoked robot is still carried");
+    }
+    ensure!(state_of(&scene.robots()?, "robot7")? == "revoked");
+    let again = scene.ctl(&["revoke", "robot7"]).unwrap_err().to_string();
+    ensure!(again.contains("revoked already"), "{again}");
+    let unknown = scene.ctl(&["revoke", "robot9"]).unwrap_err().to_string();
+    ensure!(unknown.contains("gdp-ctl robots"), "{unknown}");
+    // The label is free again.
+    scene.invite("robot7", &["--expose", "/chatter"]).map(drop)
+}
+
+#[test]
+fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.invite("robot7", &["--expose", "/chatter,/camera/**"])?;
+    scene.join("robot7", &line)?;
+    let line = scene.invite("alice", &["--read", "robot7:/camera/**", "--for", "7d"])?;
+    scene.join("alice", &line)?;
+    let robot = &scene.robot.inside;
+    let _chatter = scene.talk(robot, "rt/chatter", 64, 20.0)?;
+    let _camera = scene.talk(robot, "rt/camera/image", 900_000, 15.0)?;
+    let chatter = scene.listen(&scene.alice.inside, "rt/robot7/chatter")?;
+    first(&mut scene.listen(&scene.alice.inside, "rt/robot7/camera/image")?)?;
+    std::thread::sleep(Duration::from_secs(2));
+    ensure!(!has_message(&chatter), "alice may read the camera only");
+
+    let mut alice = scene.members.pop().context("alice's proxy")?;
+    alice.stop(TIMEOUT)?;
+    let mut command = scene.alice.inside.command(scene.tools.gdp_proxy()?)?;
+    let left = execute(command.args(["leave", "--dir"]).arg(scene.files.path().join("alice")))?;
+    ensure!(left.contains("no longer lists"), "{left}");
+    ensure!(!scene.files.path().join("alice/membership").exists(), "its files are gone");
+    let rows = scene.robots()?;
+    ensure!(
+        rows["members"]
+            .as_array()
+            .is_some_and(|rows| rows.iter().all(|row| { row["label"] != "alice" || row["entity"].is_null() })),
+        "{rows}"
+    );
+    Ok(())
+}
+
+#[test]
+fn a_server_that_starts_again_goes_on_with_its_members() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.invite("robot7", &["--expose", "/chatter"])?;
+    scene.join("robot7", &line)?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
+    first(&mut scene.listen(&scene.server, "rt/robot7/chatter")?)?;
+    scene.up.take().context("the server")?.stop(TIMEOUT)?;
+    scene.up()?;
+    let said = scene.up.as_ref().context("the server")?.stdout();
+    ensure!(said.contains("as it was, with 1 members"), "{said}");
+    first(&mut scene.listen(&scene.server, "rt/robot7/chatter")?).context("after the restart")
+}
+
+struct Scene {
+    // Fields drop in this order: programs, network, files.
+    up: Option<Process>,
+    members: Vec<Process>,
+    server: Namespace,
+    robot: BehindNat,
+    alice: BehindNat,
+    tools: Tools,
+    /// Commands that the people have typed.
+    at_server: usize,
+    at_members: usize,
+    files: tempfile::TempDir,
+}
+
+/// A machine behind NAT.
+struct BehindNat {
+    inside: Namespace,
+    _nat: Namespace,
+}
+
+impl BehindNat {
+    /// Connects a machine to the server's interface, over the network `10.9.NET.0/24`.
+    fn new(label: &str, server: &Namespace, interface: &str, net: u8) -> Result<Self> {
+        let (inside, nat) = (Namespace::create(label)?, Namespace::create("nat")?);
+        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, net, number] };
+        veth(&end(&inside, "w0", 1), &end(&nat, "i0", 2), 1500)?;
+        veth(&end(&nat, "o0", 3), &end(server, interface, 4), 1500)?;
+        for (side, command) in [
+            (&inside, "addr add 192.168.5.7/24 dev w0".to_owned()),
+            (&nat, "addr add 192.168.5.1/24 dev i0".to_owned()),
+            (&nat, format!("addr add 10.9.{net}.2/24 dev o0")),
+            (&nat, format!("route add default via 10.9.{net}.1")),
+            (server, format!("addr add 10.9.{net}.1/24 dev {interface}")),
+            (&inside, "route add default via 192.168.5.1".to_owned()),
+        ] {
+            side.ip(&command.split(' ').collect::<Vec<_>>())?;
+        }
+        nat.masquerade("i0")?;
+        inside.enable_loopback_multicast()?;
+        Ok(Self { inside, _nat: nat })
+    }
+}
+
+impl Scene {
+    fn build() -> Result<Self> {
+        let server = Namespace::create("server")?;
+        server.enable_loopback_multicast()?;
+        let robot = BehindNat::new("robot", &server, "e0", 0)?;
+        let alice = BehindNat::new("alice", &server, "a0", 1)?;
+        let (tools, files) = (Tools::beside_this_test()?, tempfile::tempdir()?);
+        Ok(Self { up: None, members: vec![], server, robot, alice, tools, at_server: 0, at_members: 0, files })
+    }
+
+    /// Returns a command of the administrator, on the server.
+    fn at_server(&self, arguments: &[&str]) -> Result<Command> {
+        let mut command = self.server.command(self.tools.gdp_ctl()?)?;
+        command.env("GDP_HOME", self.files.path().join("home")).env("GDP_SOCKET", self.files.path().join("ctl.sock"));
+        command.args(arguments);
+        Ok(command)
+    }
+
+    fn up(&mut self) -> Result<()> {
+        self.at_server += 1;
+        let command = self.at_server(&["up", "--at", AT])?;
+        let mut up = Process::spawn("up", command, self.files.path())?;
+        up.wait_until("the domain", TIMEOUT * 2, |up| up.stdout().contains("Next").then_some(()))?;
+        self.up = Some(up);
+        Ok(())
+    }
+
+    fn ctl(&self, arguments: &[&str]) -> Result<String> {
+        execute(&mut self.at_server(arguments)?)
+    }
+
+    fn invite(&mut self, label: &str, what: &[&str]) -> Result<String> {
+        self.at_server += 1;
+        self.ctl(&[&["invite", label], what].concat())
+    }
+
+    /// Joins on the machine of this label, and leaves the proxy running there.
+    fn join(&mut self, label: &str, line: &str) -> Result<()> {
+        self.at_members += 1;
+        let at = if label == "alice" { &self.alice.inside } else { &self.robot.inside };
+        let mut member = Process::spawn(label, self.join_command(label, line, at)?, self.files.path())?;
+        member.wait_until("the membership", TIMEOUT, |member| member.stdout().contains("Leave").then_some(()))?;
+        self.members.push(member);
+        Ok(())
+    }
+
+    /// Tries to join, and returns what the program says when it fails.
+    fn try_join(&self, label: &str, line: &str, at: &Namespace) -> Result<String> {
+        let mut command = self.join_command(label, line, at)?;
+        let done = command.arg("--no-run").stdin(Stdio::null()).output()?;
+        ensure!(!done.status.success(), "joined: {}", String::from_utf8_lossy(&done.stdout));
+        Ok(String::from_utf8_lossy(&done.stderr).into_owned())
+    }
+
+    fn join_command(&self, label: &str, line: &str, at: &Namespace) -> Result<Command> {
+        let mut command = at.command(self.tools.gdp_proxy()?)?;
+        command.args(["join", "--dir"]).arg(self.files.path().join(label)).env("GDP_INVITATION", line);
+        Ok(command)
+    }
+
+    fn robots(&self) -> Result<Value> {
+        Ok(serde_json::from_str(&self.ctl(&["-j", "robots"])?)?)
+    }
+
+    fn talk(&self, at: &Namespace, topic: &str, size: usize, rate: f64) -> Result<Process> {
+        let label = format!("talk{}", topic.replace('/', "-"));
+        let (size, rate) = (size.to_string(), rate.to_string());
+        let options = ["--no-wait", "--size", &size, "--rate", &rate];
+        Process::spawn(&label, self.cyclone(at, "talk", topic, &options)?, self.files.path())
+    }
+
+    fn listen(&self, at: &Namespace, topic: &str) -> Result<Process> {
+        let label = format!("listen{}-{}", topic.replace('/', "-"), at.name());
+        Process::spawn(&label, self.cyclone(at, "listen", topic, &[])?, self.files.path())
+    }
+
+    fn cyclone(&self, at: &Namespace, verb: &str, topic: &str, options: &[&str]) -> Result<Command> {
+        let mut command = at.command(self.tools.python()?)?;
+        command.arg(self.tools.cyclone()).args([verb, "--topic", topic]).args(options);
+        Ok(command)
+    }
+}
+
+fn has_message(listener: &Process) -> bool {
+    listener.json_lines().iter().any(|line| line["event"] == "message")
+}
+
+/// Waits for a message.
+fn first(listener: &mut Process) -> Result<()> {
+    listener.wait_until("a message", TIMEOUT, |listener| has_message(listener).then_some(()))
+}
+
+fn state_of<'a>(robots: &'a Value, label: &str) -> Result<&'a str> {
+    let rows = robots["members"].as_array().context("a list")?;
+    let row = rows.iter().find(|row| row["label"] == label);
+    match row.and_then(|row| row["state"].as_str()) {
+        Some(state) => Ok(state),
+        None => bail!("{label} is not listed: {robots}"),
+    }
+}
