@@ -18,8 +18,8 @@ const TIMEOUT: Duration = Duration::from_secs(15);
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error(
-        "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with \
-         --socket", path.display()
+        "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with --socket. A \
+         robot needs none: there, use `gdp-ctl topic` and `service` with --switch udp://HOST", path.display()
     )]
     NoDaemon { path: PathBuf, source: std::io::Error },
     #[error("not allowed to use the daemon's socket {}; run this as the user who runs the daemon", .0.display())]
@@ -28,7 +28,7 @@ pub enum ClientError {
     Broken(std::io::Error),
     #[error("the daemon gave an answer that this program does not understand: {0}")]
     Malformed(String),
-    #[error("refused ({}): {}", .0.code, .0.message())]
+    #[error("{}", .0.message())]
     Refused(ErrorReply),
 }
 

@@ -34,7 +34,10 @@ struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
     /// Configuration file: the topics, services and actions to carry, and their keys
-    #[arg(long, value_name = "FILE", required_unless_present = "schema")]
+    #[arg(value_name = "FILE", required_unless_present_any = ["config", "schema"])]
+    file: Option<PathBuf>,
+    /// The same as FILE
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
     config: Option<PathBuf>,
     /// Check the configuration and the files that it names, then exit
     #[arg(long)]
@@ -136,7 +139,8 @@ fn main() -> ExitCode {
     match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            terminal::note(format_args!("gdp-proxy: {error:#}"));
+            let causes = terminal::join_causes(error.chain().map(ToString::to_string));
+            terminal::note(format_args!("gdp-proxy: {causes}"));
             ExitCode::FAILURE
         }
     }
@@ -168,7 +172,7 @@ fn run(arguments: Arguments) -> Result<()> {
         }
         None => arguments,
     };
-    let Some(path) = arguments.config.clone() else {
+    let Some(path) = arguments.file.clone().or(arguments.config.clone()) else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
     carry(&path, arguments)

@@ -3,6 +3,7 @@
 use crate::config::Side;
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
+use gdp_core::file_kind::FileKind;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use std::fs::File;
@@ -47,7 +48,20 @@ pub fn load_permission(path: &Path, side: Side, card: &NameCard, entity: Name) -
     let mut text = String::new();
     let file = File::open(path).map_err(|error| error.to_string())?;
     file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    check_permission(side, &text, card, entity, unix_seconds()).map_err(|error| error.to_string())
+    let (wanted, right) = match side {
+        Side::Out => (FileKind::AdCert, "--publish"),
+        Side::In => (FileKind::ReadGrant, "--read"),
+    };
+    let remedy = || format!("have the owner run `gdp-ctl grant add CARD {right} --entity {entity} -o FILE`");
+    if let Some(kind) = FileKind::of(&text).filter(|kind| *kind != wanted) {
+        return Err(format!("it is {kind}, and {wanted} is needed; {}", remedy()));
+    }
+    check_permission(side, &text, card, entity, unix_seconds()).map_err(|error| match error {
+        CertError::WrongEntity { expected, got } => {
+            format!("wrong entity: it was issued to {got:#}, and this proxy is {expected:#}; {}", remedy())
+        }
+        other => other.to_string(),
+    })
 }
 
 /// Checks that the PEM `text` lets `entity` write or read the name of `card` at `now`, in Unix

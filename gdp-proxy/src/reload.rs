@@ -48,7 +48,9 @@ impl LoadError {
     /// clock may be set.
     fn may_pass(&self) -> bool {
         match self {
-            Self::Config(ConfigError::Io { .. }) | Self::Material { .. } | Self::Graph(_) => true,
+            Self::Config(ConfigError::Io { .. } | ConfigError::Missing { .. })
+            | Self::Material { .. }
+            | Self::Graph(_) => true,
             Self::Config(_) | Self::Fixed { .. } => false,
         }
     }

@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
@@ -45,6 +45,72 @@ fn a_misspelt_key_is_said_with_its_line_and_what_was_meant() {
     assert_eq!((output.status.code(), &output.stdout[..]), (Some(1), &b""[..]));
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("robot.yaml: there is no key `dirction`; did you mean `direction`? at line 6"), "{said}");
+}
+
+#[test]
+fn a_file_in_the_wrong_place_is_said_to_be_what_it_is() {
+    let files = Files::new();
+    let (name, not_before, not_after) = (files.card.name(), 0, u64::MAX);
+    let grant = ReadGrant { name, to: Grantee::Entity(name), serial: 1, not_before, not_after };
+    fs::write(files.path("chatter.grant"), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
+    let other = AdCert { entity: files.card.name(), ..files.ad.clone() };
+    fs::write(files.path("other.ad"), issue(&files.owner, &other).unwrap().to_pem()).unwrap();
+    let config = fs::read_to_string(files.path("robot.yaml")).unwrap();
+    let add = |right: &str| format!("have the owner run `gdp-ctl grant add CARD --{right} --entity {}", files.entity);
+    let publish = add("publish");
+    for (from, to, needles) in [
+        (
+            "cert: chatter.ad",
+            "cert: chatter.grant",
+            &["chatter.grant: it is a grant to read (GDP READ GRANT), and a certificate to publish", &publish][..],
+        ),
+        (
+            "cert: chatter.ad",
+            "cert: other.ad",
+            &["other.ad: wrong entity: it was issued to ", "this proxy is", &publish],
+        ),
+        ("cert: chatter.ad", "cert: robot.pem", &["robot.pem: it is a private key, and a certificate to publish"]),
+        (
+            "card: chatter.card",
+            "card: chatter.ad",
+            &["not a name card: ", "chatter.ad: it is a certificate to publish"],
+        ),
+        ("identity: robot.pem", "identity: chatter.card", &["chatter.card: it is a name card, not a private key"]),
+    ] {
+        fs::write(files.path("robot.yaml"), config.replace(from, to)).unwrap();
+        let output = files.proxy(&["--check"]);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), text.lines().count()), (Some(1), 1), "{text}");
+        needles.iter().for_each(|needle| assert!(text.contains(needle), "{to}: {text}"));
+    }
+}
+
+#[test]
+fn the_configuration_is_an_argument_or_an_option() {
+    let files = Files::new();
+    let run = |arguments: &[&str]| {
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-proxy"));
+        let output = command.args(arguments).current_dir(files.folder.path()).output().unwrap();
+        let [stdout, stderr] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        (output.status.code(), stdout, stderr)
+    };
+    for arguments in
+        [&["robot.yaml", "--check"][..], &["--check", "robot.yaml"], &["--check", "--config", "robot.yaml"]]
+    {
+        let (status, stdout, stderr) = run(arguments);
+        assert!(status == Some(0) && stdout.starts_with("robot.yaml: good"), "{arguments:?}: {stderr}");
+    }
+    let (status, _, stderr) = run(&["none.yaml"]);
+    let folder = files.folder.path().canonicalize().unwrap();
+    assert_eq!(status, Some(1));
+    assert!(
+        stderr.ends_with(&format!("none.yaml: cannot be read: there is no such file in {}\n", folder.display())),
+        "{stderr}"
+    );
+    for arguments in [&["--check"][..], &["robot.yaml", "--config", "robot.yaml"]] {
+        let (status, _, stderr) = run(arguments);
+        assert!(status == Some(2) && stderr.contains("FILE"), "{arguments:?}: {stderr}");
+    }
 }
 
 #[test]
@@ -207,6 +273,9 @@ fn catches_sigterm(pid: u32) -> bool {
 struct Files {
     folder: tempfile::TempDir,
     entity: String,
+    owner: SigningKey,
+    card: NameCard,
+    ad: AdCert,
 }
 
 impl Files {
@@ -223,16 +292,15 @@ impl Files {
         let entity = Identity::new(key.clone(), "proxy").name();
         let (name, scope, serial) = (card.name(), vec![], 1);
         let ad = AdCert { name, entity, scope, serial, not_before: 0, not_after: u64::MAX };
-        let ad = issue(&owner, &ad).unwrap();
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();
-        fs::write(path("chatter.ad"), ad.to_pem()).unwrap();
+        fs::write(path("chatter.ad"), issue(&owner, &ad).unwrap().to_pem()).unwrap();
         let config = "version: 1\nidentity: robot.pem\nlinks:\n  - to: udp://127.0.0.1:9\ntopics:\n  - {topic: \
                       /chatter, direction: out, card: \
                       chatter.card, cert: chatter.ad}\n";
         fs::write(path("robot.yaml"), config).unwrap();
         let entity = entity.to_string();
-        Self { folder, entity }
+        Self { folder, entity, owner, card, ad }
     }
 
     fn path(&self, file: &str) -> PathBuf {

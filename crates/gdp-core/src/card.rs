@@ -3,6 +3,7 @@
 //! to those who may know it.
 
 use crate::crypto::CryptoError;
+use crate::file_kind::FileKind;
 use crate::name::{Metadata, Name, NameProof};
 use crate::verify_key::VerifyKey;
 use crate::{crypto, name};
@@ -109,7 +110,14 @@ impl NameCard {
         if text.len() > MAX_FILE {
             return Err(CardError::Malformed(format!("longer than {MAX_FILE} bytes")));
         }
-        let file: CardFile = serde_json::from_str(text).map_err(|e| CardError::Malformed(e.to_string()))?;
+        let file: CardFile = serde_json::from_str(text).map_err(|error| {
+            let made = "a name card is the JSON file that `gdp-ctl name create` makes";
+            CardError::Malformed(match FileKind::of(text) {
+                Some(kind) if kind != FileKind::Card => format!("it is {kind}; {made}"),
+                None if !text.trim_start().starts_with('{') => made.to_owned(),
+                _ => error.to_string(),
+            })
+        })?;
         if file.version != VERSION {
             let version = file.version;
             return Err(CardError::Malformed(format!("version {version}, but this program knows version {VERSION}")));

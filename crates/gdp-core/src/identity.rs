@@ -1,7 +1,9 @@
 //! P-256 keys and the entities that hold them. Private keys are stored in PKCS#8 PEM files of mode
-//! 0600. They never appear in a log and stay in memory no longer than their owner.
+//! 0600. They never appear in a log and stay in memory no longer than their owner. A line before
+//! the PEM block, such as `kind: proxy`, states the kind of the entity that the key is for.
 
 use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer};
+use crate::file_kind::FileKind;
 use crate::keys::BoxKey;
 use crate::name::{Metadata, Name, NameProof};
 use crate::secret_file::SecretFileError;
@@ -17,6 +19,10 @@ use zeroize::Zeroizing;
 
 /// Maximum bytes of a key file. A PEM file of a P-256 key has about 240 bytes.
 const MAX_KEY_FILE: usize = 4096;
+
+/// Start of the line with the entity's kind, in the explanatory text before the key (RFC 7468 §2).
+const KIND: &str = "kind: ";
+const MAX_KIND: usize = 32;
 
 /// Private P-256 key. Clones share one copy, which is cleared with the last of them.
 #[derive(Clone)]
@@ -42,32 +48,34 @@ impl SigningKey {
 
     /// Reads a PKCS#8 PEM file. Refuses a file that others may read or write.
     pub fn load(path: &Path) -> Result<Self, SecretFileError> {
-        let malformed = |reason: String| SecretFileError::malformed(path, reason);
-        let content = secret_file::read(path, MAX_KEY_FILE)?;
-        let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
-        let secret = SecretKey::from_pkcs8_pem(text).map_err(|e| {
-            malformed(format!(
-                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
-            ))
-        })?;
-        Self::from_secret(secret).map_err(|e| malformed(e.to_string()))
+        Ok(KeyFile::load(path)?.key)
     }
 
     /// Writes a new PKCS#8 PEM file of mode 0600. Never overwrites an existing file.
     pub fn save_new(&self, path: &Path) -> Result<(), SecretFileError> {
-        let pem = self.0.secret.to_pkcs8_pem(LineEnding::LF).map_err(|e| SecretFileError::malformed(path, e))?;
-        secret_file::create(path, pem.as_bytes())
+        self.save_after("", path)
     }
 
     /// Loads `path`, or creates it with a new key. If two processes create it at once, both get the
     /// same key.
     pub fn load_or_generate(path: &Path) -> Result<Self, SecretFileError> {
+        Self::load_or_save_after("", path)
+    }
+
+    /// Writes a new file with an explanation before the key.
+    fn save_after(&self, explanation: &str, path: &Path) -> Result<(), SecretFileError> {
+        let pem = self.0.secret.to_pkcs8_pem(LineEnding::LF).map_err(|e| SecretFileError::malformed(path, e))?;
+        let text = Zeroizing::new([explanation, &pem].concat());
+        secret_file::create(path, text.as_bytes())
+    }
+
+    fn load_or_save_after(explanation: &str, path: &Path) -> Result<Self, SecretFileError> {
         match Self::load(path) {
             Err(e) if e.is_not_found() => {}
             result => return result,
         }
         let key = Self::generate().map_err(|e| SecretFileError::malformed(path, e))?;
-        match key.save_new(path) {
+        match key.save_after(explanation, path) {
             Ok(()) => Ok(key),
             Err(SecretFileError::Exists(_)) => Self::load(path),
             Err(e) => Err(e),
@@ -134,6 +142,46 @@ impl fmt::Debug for SigningKey {
     }
 }
 
+/// Private key as read from a file.
+pub struct KeyFile {
+    pub key: SigningKey,
+    /// Kind of the entity that the key is for, if the file states it.
+    pub kind: Option<String>,
+}
+
+impl KeyFile {
+    /// Reads a file as [`SigningKey::load`] does.
+    pub fn load(path: &Path) -> Result<Self, SecretFileError> {
+        let malformed = |reason: String| SecretFileError::malformed(path, reason);
+        let content = secret_file::read(path, MAX_KEY_FILE)?;
+        let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
+        let (explanation, pem) = text.split_at(text.find("-----BEGIN ").unwrap_or_default());
+        let secret = SecretKey::from_pkcs8_pem(pem).map_err(|e| match FileKind::of(text) {
+            Some(kind) if kind != FileKind::Key => malformed(format!("it is {kind}, not a private key")),
+            _ => malformed(format!(
+                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
+            )),
+        })?;
+        let key = SigningKey::from_secret(secret).map_err(|e| malformed(e.to_string()))?;
+        let kind = explanation.lines().find_map(|line| line.strip_prefix(KIND)).map(str::trim);
+        Ok(Self { key, kind: kind.filter(|kind| is_kind(kind)).map(str::to_owned) })
+    }
+
+    /// Returns the entity of the stated kind, or of `default` if the file states none.
+    pub fn identity_or(self, default: &str) -> Identity {
+        Identity::new(self.key, self.kind.as_deref().unwrap_or(default))
+    }
+}
+
+fn is_kind(text: &str) -> bool {
+    let is_letter = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || b"_-".contains(&c);
+    (1..=MAX_KIND).contains(&text.len()) && text.bytes().all(is_letter)
+}
+
+fn explanation(kind: &str) -> String {
+    format!("{KIND}{kind}\n")
+}
+
 /// Entity: a proxy, switch, RIB or domain. Its name is derived from its own key and its metadata,
 /// `{kind: …}`.
 #[derive(Clone, Debug)]
@@ -159,7 +207,12 @@ impl Identity {
 
     /// Loads the identity whose key is in the PEM file `path`. Creates the file if there is none.
     pub fn load_or_generate(path: &Path, kind: &str) -> Result<Self, SecretFileError> {
-        Ok(Self::new(SigningKey::load_or_generate(path)?, kind))
+        Ok(Self::new(SigningKey::load_or_save_after(&explanation(kind), path)?, kind))
+    }
+
+    /// Writes the key and its kind to a new file, as [`SigningKey::save_new`] does.
+    pub fn save_new(&self, path: &Path) -> Result<(), SecretFileError> {
+        self.key.save_after(&explanation(&self.metadata["kind"]), path)
     }
 
     pub fn key(&self) -> &SigningKey {

@@ -11,6 +11,7 @@ pub mod cbor;
 pub mod cert;
 pub mod crypto;
 pub mod domain;
+pub mod file_kind;
 pub mod identity;
 pub mod keys;
 pub mod link_target;

@@ -18,11 +18,15 @@ pub enum LinkTarget {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST, udp://HOST:PORT or \
-     udp://HOST:PORT%INTERFACE"
-)]
-pub struct LinkTargetError(String);
+pub enum LinkTargetError {
+    #[error("\"{text}\" is no link: did you mean {meant}?")]
+    Similar { text: String, meant: LinkTarget },
+    #[error(
+        "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST, \
+         udp://HOST:PORT or udp://HOST:PORT%INTERFACE"
+    )]
+    Unknown(String),
+}
 
 impl FromStr for LinkTarget {
     type Err = LinkTargetError;
@@ -33,8 +37,25 @@ impl FromStr for LinkTarget {
             Some(("udp", rest)) => parse_udp(rest),
             _ => None,
         };
-        parsed.ok_or_else(|| LinkTargetError(text.chars().take(100).collect()))
+        parsed.ok_or_else(|| {
+            let excerpt = text.chars().take(100).collect();
+            match similar(text) {
+                Some(meant) => LinkTargetError::Similar { text: excerpt, meant },
+                None => LinkTargetError::Unknown(excerpt),
+            }
+        })
     }
+}
+
+/// Returns the link over UDP to the address or host in a text without `udp://`, if it has one.
+fn similar(text: &str) -> Option<LinkTarget> {
+    let address = match text.split_once("://") {
+        Some(("eth" | "udp", _)) => return None,
+        Some((_, address)) => address,
+        None => text,
+    };
+    // A word alone may be an interface.
+    if address.contains(['.', ':']) { parse_udp(address) } else { None }
 }
 
 fn parse_ethernet(rest: &str) -> Option<LinkTarget> {

@@ -14,7 +14,9 @@ use std::{fmt, fs};
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::crypto::Backend;
 use gdp_core::domain::{CredentialFiles, MAX_PEERS};
+use gdp_core::file_kind::FileKind;
 use gdp_link::link::RekeySchedule;
+use gdp_util::yaml;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
 
@@ -241,11 +243,10 @@ impl Config {
         let file: File = if text.trim().is_empty() {
             File { bpffs: default_bpffs(), ..File::default() }
         } else {
-            // A snippet would put file content into the log, and the file may be a key given by
-            // mistake.
-            let options = serde_saphyr::options! { with_snippet: false };
-            serde_saphyr::from_str_with_options(text, options)
-                .map_err(|error| ParseError::Invalid(error.to_string()))?
+            yaml::parse(text).map_err(|reason| match FileKind::of(text) {
+                Some(kind) => ParseError::Invalid(format!("it is {kind}, not a daemon's configuration")),
+                None => ParseError::Invalid(reason),
+            })?
         };
         file.check(folder)
     }

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use gdp_core::cert::Invite;
 use gdp_core::cert::domain::roles;
+use gdp_util::date::relative;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
@@ -52,8 +53,8 @@ pub enum NotInvited {
     )]
     Used { serial: u64, by: Name },
     #[error(
-        "the invitation with serial {serial} ended at Unix time {at} without having been used, now is {now}: have \
-         another made"
+        "the invitation with serial {serial} ended {} without having been used: have another made",
+        relative(*at, *now)
     )]
     TooLate { serial: u64, at: u64, now: u64 },
     #[error(

@@ -1,6 +1,7 @@
 //! Helpers that the daemon, the proxy and the command line share. They do not depend on GDP.
 //!
 //! - [`backoff`]: delays between attempts
+//! - [`date`]: times for people
 //! - [`descriptors`]: the limit on open file descriptors (feature `descriptors`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
@@ -13,10 +14,12 @@
 //! - [`terminal`]: output lines for users (feature `program`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
+//! - [`yaml`]: strict YAML files, with errors for people (feature `yaml`)
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod backoff;
+pub mod date;
 #[cfg(feature = "descriptors")]
 pub mod descriptors;
 pub mod escape;
@@ -35,3 +38,5 @@ pub mod processes;
 pub mod terminal;
 pub mod ticks;
 pub mod unix_time;
+#[cfg(feature = "yaml")]
+pub mod yaml;

@@ -31,6 +31,15 @@ fn write(text: &str) -> Result<()> {
     }
 }
 
+/// Joins an error's causes on one line, and omits a cause that is part of the text before it.
+pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
+    causes.fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        before if before.contains(&cause) => text,
+        _ => format!("{text}: {cause}"),
+    })
+}
+
 /// Prints one escaped line to stderr. Never panics: if stderr cannot be written, the line is lost.
 pub fn note(text: impl Display) {
     if log::is_started() {

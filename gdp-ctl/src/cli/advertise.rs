@@ -7,19 +7,21 @@ use anyhow::{Context as _, anyhow, bail};
 use clap::{Args, ValueEnum};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, RtCert, Signed, issue};
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::identity::Identity;
 use gdp_core::name::Name;
 use gdp_proto::control::{EntityRequest, Response};
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::credential_file::CredentialFile;
+use super::entity;
 use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
+use gdp_util::date::rounded;
 use gdp_util::unix_time::unix_seconds;
 
 /// Validity in seconds of the RtCert that permits the switch to carry the entity's statement.
@@ -55,9 +57,9 @@ struct Entity {
     /// Private key file of the entity.
     #[arg(long, value_name = "FILE")]
     key: PathBuf,
-    /// Kind of the entity, as specified when its key was generated.
-    #[arg(long, value_enum, default_value = "proxy")]
-    kind: EntityKind,
+    /// Kind of the entity, if the key's file does not state it. Default: proxy.
+    #[arg(long, value_enum)]
+    kind: Option<EntityKind>,
 }
 
 /// Output of `gdp-ctl advertise` and `withdraw`.
@@ -82,10 +84,10 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(&output, || {
         let switch = session.switch;
         [format!(
-            "{:#} is advertised by {:#} at switch {switch:#} for {} s",
+            "{:#} is advertised by {:#} at switch {switch:#} for {}",
             card.name(),
             entity.name(),
-            options.lifetime
+            rounded(u64::from(options.lifetime))
         )]
     })
 }
@@ -102,7 +104,7 @@ pub fn withdraw(options: &WithdrawOptions, context: &Context) -> anyhow::Result<
 
 impl Entity {
     fn load(&self) -> anyhow::Result<Identity> {
-        Ok(Identity::new(SigningKey::load(&self.key)?, self.kind.as_str()))
+        Ok(entity::load(&self.key, self.kind)?)
     }
 }
 

@@ -9,6 +9,7 @@ use clap::Subcommand;
 use super::credential_file::{ClaimMap, CredentialFile};
 use super::issuance_log::IssuanceLog;
 use crate::cli::context::Context;
+use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
@@ -61,8 +62,14 @@ pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Resu
 }
 
 fn describe(claims: &ClaimMap) -> impl Iterator<Item = String> {
-    claims.iter().map(|(key, claim)| {
-        let claim = claim.as_str().map_or_else(|| claim.to_string(), str::to_owned);
+    let now = unix_seconds();
+    claims.iter().map(move |(key, claim)| {
+        let is_time = ["not_before", "not_after", "member_until"].contains(&key.as_str());
+        let claim = match (claim.as_u64().filter(|_| is_time), claim.as_str()) {
+            (Some(time), _) => relative(time, now),
+            (None, Some(text)) => text.to_owned(),
+            (None, None) => claim.to_string(),
+        };
         format!("{key:<10}  {claim}")
     })
 }

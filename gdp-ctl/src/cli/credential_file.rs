@@ -9,6 +9,7 @@ use gdp_core::cert::{
     AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, PeerCert, ReadGrant,
     Reading, Revocation, RtCert, Signed,
 };
+use gdp_core::file_kind::FileKind;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -94,8 +95,20 @@ impl CredentialFile {
             () if begins(MemberCert::LABEL) => Self::Member(Membership::from_pem(text)?),
             () if begins(PeerCert::LABEL) => Self::Peer(Signed::from_pem(text)?),
             () if begins(RtCert::LABEL) => Self::Route(Signed::from_pem(text)?),
-            () => bail!("not a certificate: no line such as \"-----BEGIN {}-----\"", AdCert::LABEL),
+            () => match FileKind::of(text) {
+                Some(kind) => bail!("it is {kind}, not a certificate"),
+                None => bail!("not a certificate: no line such as \"-----BEGIN {}-----\"", AdCert::LABEL),
+            },
         })
+    }
+
+    /// Returns the delegation by which a delegate issued a grant.
+    pub fn delegation(&self) -> Option<Signed<Delegation>> {
+        match self {
+            Self::Ad(issued) => issued.delegation.clone(),
+            Self::Read(reading) => reading.grant.delegation.clone(),
+            _ => None,
+        }
     }
 
     /// Returns the kind of certificate, its claims and those that it depends on, without verifying

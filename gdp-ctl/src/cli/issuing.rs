@@ -7,12 +7,19 @@ pub fn serial_now() -> u64 {
     unix_nanos()
 }
 
-/// Returns the start and end of the validity of a certificate issued now. The start is backdated,
-/// so that a clock that is slightly behind accepts the certificate.
+/// Seconds by which the start of a validity is backdated, so that a clock that is slightly behind
+/// accepts the certificate.
+const BACKDATED: u64 = 300;
+
+/// Returns the start and end of the validity of a certificate issued now.
 pub fn validity(seconds: u64) -> (u64, u64) {
-    const BACKDATED: u64 = 300;
     let now = unix_seconds();
     (now.saturating_sub(BACKDATED), now.saturating_add(seconds))
+}
+
+/// Returns the seconds for which a certificate of this validity was issued.
+pub fn lifetime(not_before: u64, not_after: u64) -> u64 {
+    not_after.saturating_sub(not_before).saturating_sub(BACKDATED).max(1)
 }
 
 /// Parses `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.

@@ -1,10 +1,10 @@
 //! `gdp-ctl key`: private keys of owners and entities.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Subcommand, ValueEnum};
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::identity::{Identity, KeyFile};
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -17,15 +17,16 @@ pub enum Command {
     Generate {
         /// Private key file.
         file: PathBuf,
-        /// Kind of the entity that uses the key; part of the entity's name.
+        /// Kind of the entity that uses the key; part of the entity's name, and stated in the file.
         #[arg(long, value_enum)]
         kind: EntityKind,
     },
-    /// Show the public key of a private key, and the names of its entities.
+    /// Show the name of the entity that uses a key. If the file does not state its kind, show the
+    /// public key, and the name for each kind.
     Show {
         /// Private key file.
         file: PathBuf,
-        /// Only the entity of this kind.
+        /// Only the entity of this kind, whatever the file states.
         #[arg(long, value_enum)]
         kind: Option<EntityKind>,
     },
@@ -48,6 +49,11 @@ impl EntityKind {
             Self::Tool => "tool",
         }
     }
+}
+
+/// Returns the line for people: the kind of an entity, its name, and its key file.
+fn labelled(kind: &str, name: Name, file: &Path) -> String {
+    format!("{kind} {name} {}", file.display())
 }
 
 /// Output of `gdp-ctl key generate`.
@@ -77,20 +83,22 @@ pub struct KeyOutput {
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Generate { file, kind } => {
-            let key = SigningKey::generate()?;
-            key.save_new(&file)?;
-            let public_key = key.verify_key().to_string();
-            let name = Identity::new(key, kind.as_str()).name();
+            let identity = Identity::generate(kind.as_str())?;
+            identity.save_new(&file)?;
+            let (name, public_key) = (identity.name(), identity.key().verify_key().to_string());
             let output = NewKeyOutput { file, kind: kind.as_str(), name, public_key };
-            context.output.print(&output, || [name.to_string()])
+            context.output.print(&output, || [labelled(kind.as_str(), name, &output.file)])
         }
         Command::Show { file, kind } => {
-            let key = SigningKey::load(&file)?;
+            let KeyFile { key, kind: stated } = KeyFile::load(&file)?;
             let kinds = kind.map_or_else(|| EntityKind::value_variants().to_vec(), |kind| vec![kind]);
             let name = |kind: EntityKind| Identity::new(key.clone(), kind.as_str()).name();
             let names = kinds.iter().map(|kind| (kind.as_str(), name(*kind))).collect();
             let output = KeyOutput { public_key: key.verify_key().to_string(), names, name: kind.map(name) };
             context.output.print(&output, || {
+                if let Some(of) = kind.map(EntityKind::as_str).or(stated.as_deref()) {
+                    return vec![labelled(of, Identity::new(key.clone(), of).name(), &file)];
+                }
                 let names = kinds.iter().map(|k| format!("as {:<8} {}", k.as_str(), name(*k)));
                 std::iter::once(format!("public key  {}", output.public_key)).chain(names).collect::<Vec<_>>()
             })

@@ -10,7 +10,9 @@ pub(crate) mod credential_file;
 mod doctor;
 mod domain;
 mod dump;
+mod entity;
 mod grant;
+mod help;
 mod home;
 mod issuance_log;
 mod issuing;
@@ -35,11 +37,12 @@ mod topology;
 mod trace;
 mod xdp;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_util::escape::Escaped;
 use gdp_util::terminal::{self, note};
@@ -47,7 +50,7 @@ use gdp_util::terminal::{self, note};
 use crate::client::ClientError;
 use context::Context;
 use gdp_dataplane::object;
-use output::{FailureOutput, Output, join_causes};
+use output::{FailureOutput, Output};
 
 const VERSION: &str = if object::is_embedded() {
     concat!(env!("CARGO_PKG_VERSION"), " (with XDP)")
@@ -100,64 +103,65 @@ enum Command {
     Admin(home::AdminCommand),
     /// Run the domain's join service alone; `gdp-ctl up` starts it.
     JoinService(home::JoinServiceOptions),
-    /// Run the daemon: the switch, and the RIB unless the configuration names a remote RIB.
+    /// Run a switch, to which robots, servers and other switches connect.
+    ///
+    /// The daemon is also the RIB, unless its configuration names a remote one.
     Serve(serve::Options),
-    /// Advertise a name that an entity publishes, through the daemon's switch.
+    /// Announce a name that an entity publishes, through this machine's switch.
     Advertise(advertise::Options),
-    /// Withdraw an entity's advertisement of a name, or its subscription to a name.
+    /// End an entity's announcement of a name, or its subscription to it.
     Withdraw(advertise::WithdrawOptions),
-    /// Show the publishers, readers, servers and callers of names, and verify every certificate
-    /// locally.
+    /// Show who publishes, reads, serves or calls a name.
+    ///
+    /// The command verifies every certificate itself.
     Query(query::Options),
-    /// Show the daemon's links, data plane and counters.
+    /// Show the links, the data plane and the counters of this machine's switch.
     Status,
-    /// Create and show name cards.
+    /// Create and show name cards: the global names of topics, services and actions.
     #[command(subcommand)]
     Name(name::Command),
-    /// Generate and show keys.
+    /// Create and show private keys, one for each robot, server, switch or owner.
     #[command(subcommand)]
     Key(key::Command),
-    /// Add, list and revoke grants to publish or read a name.
+    /// Allow a robot or server to publish or read a name, and take that back.
     #[command(subcommand)]
     Grant(grant::Command),
-    /// Create a trust domain, manage its members and peerings, and revoke them.
+    /// Create a trust domain, and admit, list and revoke its members.
     #[command(subcommand)]
     Domain(domain::Command),
-    /// Show and verify certificates.
+    /// Show and verify a certificate file.
     #[command(subcommand)]
     Cert(cert::Command),
-    /// Show the routes of the switch.
+    /// Show where the switch forwards each name.
     #[command(subcommand)]
     Fib(dump::FibCommand),
-    /// Show the records of the RIB.
+    /// Show all publishers, readers and switches that the domain's RIB knows.
     #[command(subcommand)]
     Rib(dump::RibCommand),
-    /// Show the daemon's links.
+    /// Show the links of this machine's switch.
     #[command(subcommand)]
     Link(link::Command),
-    /// Show the neighbouring switches and domains of the daemon.
+    /// Show the neighbouring switches and domains.
     #[command(subcommand)]
     Peer(peer::Command),
     Trace(trace::Options),
     Ping(ping::Options),
-    /// Print events at the daemon's switch until ^C: links, attachments, refusals, routes, topology
-    /// and RIB.
+    /// Print events of this machine's switch until ^C, such as links, refusals and routes.
     Monitor,
-    /// Show the domain's switches and the links between them, as known to the daemon's switch.
+    /// Show the domain's switches, and the links between them.
     Topology(topology::Options),
-    /// List, measure, read and publish topics of the fabric; the counterpart of `ros2 topic`.
+    /// List, measure, read and publish topics, as `ros2 topic` does.
     #[command(subcommand)]
     Topic(topic::Command),
-    /// List and call services of the fabric; the counterpart of `ros2 service`.
+    /// List and call services, as `ros2 service` does.
     #[command(subcommand)]
     Service(service::Command),
-    /// List actions of the fabric; the counterpart of `ros2 action`.
+    /// List actions, as `ros2 action` does.
     #[command(subcommand)]
     Action(action::Command),
-    /// Check that this machine meets the daemon's requirements, and suggest a remedy for each
-    /// problem.
+    /// Check that this machine can run a switch, and suggest a remedy for each problem.
     Doctor(doctor::Options),
-    /// Show or remove the data plane in the kernel, with or without a running daemon.
+    /// Show or remove the programs that forward in the kernel, also without a daemon.
     #[command(subcommand)]
     Xdp(xdp::Command),
 }
@@ -165,13 +169,13 @@ enum Command {
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
     gdp_util::panics::end_process();
-    let cli = match Cli::try_parse() {
+    let cli = match parse(std::env::args_os()) {
         Ok(cli) => cli,
         Err(error) => {
             // If arguments contain control characters, print the message that quotes them in
             // escaped form.
             let escaped = std::env::args_os().map(|argument| Escaped(argument.to_string_lossy()).to_string());
-            return wrong_usage(&Cli::try_parse_from(escaped).err().unwrap_or(error));
+            return wrong_usage(&parse(escaped).err().unwrap_or(error));
         }
     };
     let context = Context { socket: cli.socket, output: Output { json: cli.json } };
@@ -183,13 +187,19 @@ pub fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            note(format_args!("gdp-ctl: {}", join_causes(error.chain().map(ToString::to_string))));
+            note(format_args!("gdp-ctl: {}", terminal::join_causes(error.chain().map(ToString::to_string))));
             // If stdout cannot be written, the line on stderr must suffice.
             let _ = context.output.print_failure(&error);
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
             ExitCode::from(if no_daemon { 3 } else { 1 })
         }
     }
+}
+
+fn parse(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> Result<Cli, clap::Error> {
+    let mut command = help::grouped(Cli::command());
+    let mut matches = command.try_get_matches_from_mut(arguments)?;
+    Cli::from_arg_matches_mut(&mut matches).map_err(|error| error.format(&mut command))
 }
 
 fn print_schema() -> anyhow::Result<()> {

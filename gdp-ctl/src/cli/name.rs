@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail};
 use clap::{Subcommand, ValueEnum};
 use gdp_core::card::NameCard;
-use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_core::identity::VerifyKey;
 use gdp_core::name;
 use gdp_core::name::{Metadata, Name};
 use gdp_ros::names::{check_topic, check_type};
@@ -16,14 +16,15 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::cli::context::Context;
+use crate::cli::entity::parse_public_key;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Create a name card: a new file for everyone that must be able to derive the name.
     Create {
         /// Private key file of the owner, or the owner's public key (66 hex digits).
-        #[arg(long)]
-        owner: String,
+        #[arg(long, value_name = "KEY", value_parser = parse_public_key)]
+        owner: VerifyKey,
         /// ROS name with a leading slash, such as /chatter. For a catalog: any label, such as the
         /// robot's name, for logs.
         #[arg(long, value_name = "NAME")]
@@ -58,8 +59,8 @@ pub enum Command {
         #[arg(conflicts_with_all = ["owner", "meta"], required_unless_present = "owner")]
         card: Option<PathBuf>,
         /// Private key file of the owner, or the owner's public key (66 hex digits).
-        #[arg(long, requires = "meta")]
-        owner: Option<String>,
+        #[arg(long, value_name = "KEY", requires = "meta", value_parser = parse_public_key)]
+        owner: Option<VerifyKey>,
         /// Metadata entry; repeat for each entry.
         #[arg(long, value_name = "KEY=VALUE")]
         meta: Vec<String>,
@@ -157,7 +158,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             if let Some(entry) = meta.iter().find(|entry| entry.contains(is_control)) {
                 bail!("--meta {entry}: a card has no control characters; leave them out");
             }
-            let card = NameCard::create(public_key(&owner)?, kind.as_str(), &topic, type_name, nonce)?;
+            let card = NameCard::create(owner, kind.as_str(), &topic, type_name, nonce)?;
             let card = NameCard::new(*card.owner_key(), with_meta(card.metadata().clone(), &meta)?)?;
             card.save_new(&output)?;
             let shown = CardOutput { file: Some(output), ..CardOutput::new(&card) };
@@ -168,7 +169,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             context.output.print(&CardOutput::new(&card), || [card.name().to_string()])
         }
         Command::Derive { card: None, owner, meta } => {
-            let owner = public_key(&owner.unwrap_or_default())?;
+            let owner = owner.context("derive a name of a CARD, or of --owner and --meta")?;
             let card = NameCard::new(owner, with_meta(Metadata::new(), &meta)?)?;
             context.output.print(&CardOutput::new(&card), || [card.name().to_string()])
         }
@@ -202,13 +203,5 @@ impl CardOutput {
             metadata: card.metadata().clone(),
             file: None,
         }
-    }
-}
-
-/// Returns a public key from hex digits, or from a private key file.
-fn public_key(owner: &str) -> anyhow::Result<VerifyKey> {
-    match owner.parse() {
-        Ok(key) => Ok(key),
-        Err(_) => Ok(SigningKey::load(owner.as_ref())?.verify_key()),
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use clap::Args;
 use gdp::{SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
@@ -13,11 +13,12 @@ use gdp_ros::roster::Dialect;
 use gdp_ros::types::Types;
 use gdp_util::terminal::note;
 
+use super::entity::{self, DEFAULT_KIND};
 use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
-use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch, keyring::Keyring, keyring::called};
+use crate::ros::{fabric::Fabric, fabric::local_switch, keyring::Keyring, keyring::called};
 use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
 
@@ -33,9 +34,9 @@ pub struct NodeOptions {
     /// Private key file, instead of id.pem in the keyring.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
-    /// Kind of the key's entity, as specified when the key was generated.
-    #[arg(long, value_enum, default_value = "proxy")]
-    kind: EntityKind,
+    /// Kind of the key's entity, if the key's file does not state it. Default: proxy.
+    #[arg(long, value_enum)]
+    kind: Option<EntityKind>,
     /// Switch to attach to: udp://HOST[:PORT] or eth://INTERFACE. Default: the switch of this
     /// machine's daemon.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
@@ -58,7 +59,18 @@ impl NodeOptions {
     }
 
     fn identity(&self) -> anyhow::Result<Identity> {
-        identity(&self.folder()?, self.key.as_ref(), self.kind.as_str())
+        let file = match &self.key {
+            Some(file) => file.clone(),
+            None => self.folder()?.join("id.pem"),
+        };
+        entity::load(&file, self.kind).map_err(|error| match error.is_not_found() {
+            true => anyhow!(
+                "{error}; make a key with `gdp-ctl key generate {} --kind {}`, or say where it is with --key",
+                file.display(),
+                self.kind.map_or(DEFAULT_KIND, EntityKind::as_str)
+            ),
+            false => error.into(),
+        })
     }
 
     /// Attaches, runs `what`, and detaches.

@@ -57,7 +57,7 @@ impl Output {
         let causes: Vec<_> = error.chain().map(|cause| ErrorReply::new(code, &cause.to_string())).collect();
         let remedies: Vec<_> = causes.iter().filter_map(|cause| cause.remedy.clone()).collect();
         let remedy = Some(remedies.join("; ")).filter(|remedy| !remedy.is_empty());
-        let reason = join_causes(causes.into_iter().map(|cause| cause.reason));
+        let reason = terminal::join_causes(causes.into_iter().map(|cause| cause.reason));
         self.print(&FailureOutput { error: ErrorReply { code, reason, remedy } }, || None)
     }
 
@@ -65,15 +65,6 @@ impl Output {
     pub fn tell(&self, line: impl FnOnce() -> String) -> anyhow::Result<()> {
         if self.json { Ok(()) } else { terminal::print([line()]).context("cannot write to stdout") }
     }
-}
-
-/// Joins an error's causes on one line, omitting causes that another cause already contains.
-pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
-    causes.fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        said if said.contains(&cause) => text,
-        _ => format!("{text}: {cause}"),
-    })
 }
 
 /// Writes a new file that other users may read. Never overwrites an existing file.
@@ -85,6 +76,26 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
         .open(path)
         .with_context(|| format!("cannot create {} (it is never overwritten)", path.display()))?;
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Replaces a file atomically, and keeps its permissions. A link stays, and its target is replaced.
+pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
+    let target = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
+    let mut new_name = target.file_name().unwrap_or_default().to_owned();
+    new_name.push(format!(".{}.tmp", std::process::id()));
+    let new = target.with_file_name(new_name);
+    let replaced = (|| {
+        let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&new)?;
+        file.set_permissions(target.metadata()?.permissions())?;
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        std::fs::rename(&new, &target)
+    })();
+    if replaced.is_err() {
+        // The file may not exist.
+        let _ = std::fs::remove_file(&new);
+    }
+    replaced.with_context(|| format!("cannot replace {}", path.display()))
 }
 
 /// Formats left-aligned columns under a heading. Cells are escaped before their width is measured.

@@ -6,6 +6,7 @@ use clap::Subcommand;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::links::PeersReply;
 use gdp_proto::admin::words::PeerLink;
+use gdp_util::date::rounded;
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
@@ -38,7 +39,7 @@ fn describe(reply: &PeersReply) -> Vec<String> {
             or_dash(peer.relationship),
             or_dash(peer.rights_granted.as_ref()),
             or_dash(peer.rights_received.as_ref()),
-            or_dash(peer.until.map(|until| format!("{} s", until.saturating_sub(now)))),
+            or_dash(peer.until.map(|until| rounded(until.saturating_sub(now)))),
             peer.link.to_string(),
             or_dash(peer.via.as_ref()),
             why,

@@ -17,7 +17,7 @@ use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 51] = [
+const OUTPUTS: [(&str, Of); 52] = [
     ("error", of::<FailureOutput>),
     ("invite", of::<home::InviteOutput>),
     ("approve", of::<home::DecisionOutput>),
@@ -47,6 +47,7 @@ const OUTPUTS: [(&str, Of); 51] = [
     ("name show", of::<name::CardOutput>),
     ("cert show", of::<CertificateOutput>),
     ("grant add", of::<IssuedOutput>),
+    ("grant renew", of::<IssuedOutput>),
     ("grant list", of::<grant::GrantsOutput>),
     ("grant revoke", of::<RevokeOutput>),
     ("domain init", of::<domain::InitOutput>),

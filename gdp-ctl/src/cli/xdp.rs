@@ -47,7 +47,12 @@ fn stats(options: &Options, context: &Context) -> anyhow::Result<()> {
     let switches = options.find()?.iter().map(describe).collect::<anyhow::Result<Vec<_>>>()?;
     let output = StatsOutput { switches };
     context.output.print(&output, || match output.switches.as_slice() {
-        [] => vec!["nothing of GDP is in the kernel".to_owned()],
+        [] => {
+            let folder = options.bpffs.display();
+            vec![format!(
+                "nothing of GDP is pinned under {folder} in this mount namespace; `ip netns exec` enters another one"
+            )]
+        }
         all => all.iter().map(print).collect::<Vec<_>>().join(&String::new()),
     })
 }

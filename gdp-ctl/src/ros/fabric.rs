@@ -1,12 +1,11 @@
 //! A command as a node of the fabric, with the user's key, and its queries to the RIB.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
-use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use gdp::{Node, NodeConfig};
 use gdp_core::card::NameCard;
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
 use gdp_proto::control::{NameRole, Record};
 use gdp_wire::Name;
@@ -32,21 +31,6 @@ pub struct Entities {
     pub writers: Vec<Name>,
     /// Subscribers or callers.
     pub readers: Vec<Name>,
-}
-
-/// Loads the key; without `key`, `id.pem` of the keyring.
-pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Result<Identity> {
-    let file = key.cloned().unwrap_or_else(|| keyring.join("id.pem"));
-    match SigningKey::load(&file) {
-        Ok(key) => Ok(Identity::new(key, kind)),
-        Err(error) if error.is_not_found() => {
-            bail!(
-                "{error}; make a key with `gdp-ctl key generate {} --kind {kind}`, or say where it is with --key",
-                file.display()
-            )
-        }
-        Err(error) => Err(error.into()),
-    }
 }
 
 impl Fabric {

@@ -90,7 +90,13 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&meta, 1, &["--meta", "site=\\u{202e}", "control characters"]),
         (&["key", "show", "open.pem"], 1, &["chmod 600"]),
         (&["key", "show", "junk"], 1, &["junk"]),
-        (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
+        (&["key", "show", "chatter.card"], 1, &["chatter.card: it is a name card, not a private key"]),
+        (&["name", "show", "junk"], 1, &["junk", "not a name card", "gdp-ctl name create"]),
+        (
+            &["name", "show", "robot.pem"],
+            1,
+            &["not a name card", "robot.pem: it is a private key", "gdp-ctl name create"],
+        ),
         (
             &[
                 "name",
@@ -110,10 +116,11 @@ fn what_goes_wrong_is_named_with_its_remedy() {
             &["--meta topic is given twice"],
         ),
         (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
+        (&["cert", "show", "chatter.card"], 1, &["chatter.card: it is a name card, not a certificate"]),
         (
             &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),
             1,
-            &["robot.pem is not the owner", "--delegation"],
+            &["robot.pem is not the owner's key of chatter.card (/chatter)", "--delegation"],
         ),
         (&[&add[..], &["--publish", "--read", "--key", "owner.pem"]].concat(), 1, &["make two"]),
         (&[&add[..], &["--key", "owner.pem"]].concat(), 2, &["--publish"]),
@@ -131,9 +138,29 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["grant", "revoke", "chatter.card", "7", "--key", "robot.pem"], 1, &["robot.pem is not the owner"]),
         (&["grant", "revoke", "chatter.card", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
         (&["grant", "revoke", "chatter.card", "--entity", &zero, "--key", "owner.pem"], 1, &["nothing was granted to"]),
+        (
+            &["grant", "revoke", "chatter.card", "--entity", "75e", "--key", "owner.pem"],
+            1,
+            &["nothing was granted to 75e"],
+        ),
+        (&["grant", "revoke", "chatter.card", "--entity", "ROBOT", "--key", "owner.pem"], 2, &["64 hex", "key show"]),
+        (&["grant", "renew", "chatter.card", "--key", "owner.pem"], 1, &["no valid grant", "gdp-ctl grant add"]),
+        (&["grant", "renew", "junk", "--key", "owner.pem"], 1, &["junk", "not a certificate"]),
+        (&["grant", "renew", "--key", "owner.pem"], 2, &["<FILE|CARD>"]),
+        (&["domain", "admit", "--key", "d.pem", &zero, "--role", "rib", "--days", "7", "-o", "x"], 2, &["--days"]),
+        (
+            &["domain", "invite", "--key", "d.pem", "--role", "arm", "--at", "edge:31415"],
+            2,
+            &["did you mean udp://edge:31415?"],
+        ),
+        (
+            &["domain", "admit", "--key", "d.pem", "ROBOT", "--role", "rib", "-o", "x"],
+            2,
+            &["64 hex digits", "key show"],
+        ),
         (&["advertise", "chatter.card", "--key", "robot.pem"], 1, &["needs the owner's certificate", "grant add"]),
         (&["query", "not-hex"], 1, &["neither a file nor the beginning of a name"]),
-        (&["status"], 3, &["no daemon answers", "gdp-ctl serve"]),
+        (&["status"], 3, &["no daemon answers", "gdp-ctl serve", "A robot needs none", "--switch udp://HOST"]),
         (&["query", "75e"], 3, &["no daemon answers"]),
         (&["trace", "75e"], 3, &["no daemon answers"]),
         (&["ping", "75e", "-c", "1"], 3, &["no daemon answers"]),
@@ -147,7 +174,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (
             &["grant", "add", "chatter.card", "--read", "--key", "owner.pem", "--entity", "75e", "-o", "x"],
             2,
-            &["64 hex digits"],
+            &["64 hex digits", "gdp-ctl key show FILE", "the key's file"],
         ),
         (&["advertise", "chatter.card", "--key", "owner.pem", "--for", "soon"], 2, &["is not a time"]),
         (&["serve", "--config", "none.yaml"], 1, &["none.yaml"]),
@@ -161,6 +188,41 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         }
         assert!(error.matches("os error").count() <= 1, "{arguments:?}: says it twice: {error}");
     }
+}
+
+#[test]
+fn a_key_states_its_kind_and_stands_for_its_entity() {
+    let user = User::new();
+    let robot = user.text(&["key", "generate", "robot.pem", "--kind", "proxy"]);
+    let shown = user.json(&["key", "show", "robot.pem"]);
+    let name = shown["names"]["proxy"].as_str().unwrap();
+    assert_eq!(robot, format!("proxy {name} robot.pem\n"));
+    assert_eq!(user.text(&["key", "show", "robot.pem"]), robot);
+    let tool = shown["names"]["tool"].as_str().unwrap();
+    assert_eq!(user.text(&["key", "show", "robot.pem", "--kind", "tool"]), format!("tool {tool} robot.pem\n"));
+
+    // Without its line, the file is as earlier releases wrote it.
+    let text = std::fs::read_to_string(user.file("robot.pem")).unwrap();
+    std::fs::copy(user.file("robot.pem"), user.file("bare.pem")).unwrap();
+    std::fs::write(user.file("bare.pem"), text.strip_prefix("kind: proxy\n").unwrap()).unwrap();
+    let bare = user.text(&["key", "show", "bare.pem"]);
+    assert!(bare.starts_with("public key  ") && bare.contains(&format!("\nas proxy    {name}\n")), "{bare}");
+    assert_eq!(user.text(&["key", "show", "bare.pem", "--kind", "proxy"]), format!("proxy {name} bare.pem\n"));
+
+    user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    user.card("/chatter");
+    let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--read", "-o", "chatter.grant", "--entity"];
+    let refused = user.refusal(2, &[&add[..], &["bare.pem"]].concat());
+    assert!(refused.contains("bare.pem does not state its kind"), "{refused}");
+    assert_eq!(user.json(&[&add[..], &["robot.pem"]].concat())["claims"]["to"]["entity"], name);
+}
+
+#[test]
+fn help_is_in_groups() {
+    let help = User::new().text(&["--help"]);
+    let at = |title: &str| help.find(&format!("\n{title}:\n")).unwrap_or_else(|| panic!("{title}: {help}"));
+    assert!(at("Everyday") < at("Rights") && at("Rights") < at("Inside") && at("Inside") < at("Options"), "{help}");
+    assert!(help.contains("\n  topic        List, measure") && help.contains("Exit status"), "{help}");
 }
 
 #[test]

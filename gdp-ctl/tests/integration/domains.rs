@@ -43,13 +43,45 @@ fn members_are_admitted_listed_and_taken_back() {
     assert!(user.refusal(1, &show).contains("revoked: the MemberCert"));
     assert_eq!(states(&user.json(&["domain", "show", "home/domain.card"])), ["revoked"]);
     // A renewal makes it a member again.
-    admit(&user, &switch, "switch", "s1.renewed");
+    admit(&user, "s1.pem", "switch", "s1.renewed");
     let shown = user.json(&["domain", "show", "s1.renewed", "--card", "home/domain.card"]);
     assert_eq!(shown["verified"], true);
+    let by_digits = user.json(&["domain", "revoke", "--key", "home/domain.pem", "--entity", &switch[..8]]);
+    assert_eq!(by_digits["revoked"].as_array().unwrap().len(), 2);
+    let nobody = user.refusal(1, &["domain", "revoke", "--key", "home/domain.pem", "--entity", "owner.pem"]);
+    assert!(nobody.contains("nothing was issued to") && nobody.contains("gdp-ctl domain show"), "{nobody}");
     let all = user.json(&["domain", "revoke", "--key", "home/domain.pem", "--all"]);
     assert!(all["revoked"].as_array().unwrap().is_empty() && all["number"].as_u64() > Some(1_000_000), "{all}");
     assert_eq!(states(&user.json(&["domain", "show", "home/domain.card"])), ["revoked", "revoked"]);
     assert!(user.refusal(3, &["domain", "revoke", "--key", "home/domain.pem"]).contains("no daemon answers"));
+}
+
+#[test]
+fn times_are_spans_on_the_command_line_and_dates_in_the_output() {
+    let user = User::new();
+    user.text(&["domain", "init", "-o", "home"]);
+    let domain = user.text(&["key", "show", "home/domain.pem"]);
+    assert!(domain.starts_with("domain ") && domain.ends_with(" home/domain.pem\n"), "{domain}");
+    let robot = key(&user, "robot", "proxy");
+    let admit = ["domain", "admit", "--key", "home/domain.pem", &robot, "--role", "arm", "--for", "3h", "-o", "member"];
+    let admitted = user.json(&admit);
+    let seconds = |claims: &Value, from: &str, to: &str| claims[to].as_u64().unwrap() - claims[from].as_u64().unwrap();
+    assert_eq!(seconds(&admitted["claims"], "not_before", "not_after"), 3 * 3600 + 300);
+    let shown = user.text(&["cert", "show", "member"]);
+    assert!(shown.contains("not_after   20") && shown.contains("Z, in 3 h\n"), "{shown}");
+    assert!(shown.contains("not_before  20") && shown.contains("Z, 5 min ago\n"), "{shown}");
+
+    let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "arm", "--at", "udp://edge"];
+    let line = user.text(&invite);
+    let claims = user.json(&["domain", "show", line.trim_end()])["claims"].clone();
+    assert_eq!(seconds(&claims, "not_before", "not_after"), 24 * 3600 + 300);
+    let member = seconds(&claims, "not_before", "member_until") - 365 * 86400;
+    assert!((300..310).contains(&member), "{member}");
+    let line = user.text(&[&invite[..], &["--for", "30m", "--member-for", "7d"]].concat());
+    let shown = user.text(&["domain", "show", line.trim_end()]);
+    assert!(shown.contains("Z, in 30 min\n") && shown.contains("Z, in 7 d\n"), "{shown}");
+    let joined = user.text(&["domain", "join", line.trim_end(), "-o", "arm"]);
+    assert!(joined.contains("Z, in 7 d: arm/gdp.yaml, to which you add topics or expose"), "{joined}");
 }
 
 #[test]

@@ -29,8 +29,8 @@ fn grants_are_remembered_listed_and_taken_back() {
     assert_eq!(listed["grants"][0]["to"]["entity"], robot.as_str());
     assert!(listed["revocation"].is_null());
     let text = user.text(&["grant", "list", "chatter.card"]);
-    // One second less than a year, unless less than a second has passed.
-    assert!(text.contains("for 36") && text.contains("robot.ad"), "{text}");
+    assert!(text.contains("until 20") && text.contains("Z, in 365 d") && text.contains("Z, in 60 min"), "{text}");
+    assert!(text.contains("robot.ad"), "{text}");
 
     // Without a daemon, the command records the revocation and reports that it is not published.
     let output = user.run(&["-j", "grant", "revoke", "chatter.card", "--key", "owner.pem", "--entity", &robot]);
@@ -60,6 +60,69 @@ fn grants_are_remembered_listed_and_taken_back() {
 }
 
 #[test]
+fn an_entity_is_revoked_by_its_key_file_or_its_first_digits() {
+    let user = owner();
+    let (robot, cloud) = (entity(&user, "robot"), entity(&user, "cloud"));
+    grant(&user, &["--publish", "--entity", "robot.pem", "-o", "robot.ad"]);
+    grant(&user, &["--read", "--entity", "cloud.pem", "-o", "cloud.grant"]);
+    let listed = user.json(&["grant", "list", "chatter.card"]);
+    assert_eq!(listed["grants"][0]["to"]["entity"], robot.as_str());
+    let revoke = |whom: &str| user.json(&["grant", "revoke", "chatter.card", "--key", "owner.pem", "--entity", whom]);
+    // Two random names have their first 8 digits in common once in four billion runs.
+    assert_eq!(revoke(&cloud[..8])["revoked"].as_array().unwrap().len(), 1);
+    assert_eq!(states(&user.json(&["grant", "list", "chatter.card"])), ["valid", "revoked"]);
+    revoke("robot.pem");
+    assert_eq!(states(&user.json(&["grant", "list", "chatter.card"])), ["revoked", "revoked"]);
+}
+
+#[test]
+fn a_renewal_has_the_same_rights_and_replaces_the_file() {
+    let user = owner();
+    let home = Identity::generate("domain").unwrap().name().to_string();
+    entity(&user, "robot");
+    std::fs::create_dir(user.file("robot")).unwrap();
+    let publish = ["--publish", "--entity", "robot.pem", "--scope", &home, "--for", "7d", "-o", "robot/chatter.ad"];
+    let first = grant(&user, &publish);
+    grant(&user, &["--read", "--role", "arm", "--domain", &home, "-o", "arms.grant"]);
+    std::fs::set_permissions(user.file("robot/chatter.ad"), PermissionsExt::from_mode(0o640)).unwrap();
+    std::fs::copy(user.file("chatter.card"), user.file("robot/chatter.card")).unwrap();
+
+    // By its file: the card beside it has no ledger, that in this folder has.
+    let renew = ["grant", "renew", "--key", "owner.pem"];
+    let second = user.json(&[&renew[..], &["robot/chatter.ad"]].concat());
+    for key in ["name", "entity", "scope"] {
+        assert_eq!(second["claims"][key], first["claims"][key], "{key}");
+    }
+    let end = |issued: &Value| issued["claims"]["not_after"].as_u64().unwrap();
+    assert!((0..60).contains(&(end(&second) - end(&first))), "as long as before: {first} {second}");
+    let serial = |issued: &Value| issued["serial"].as_str().unwrap().parse::<u64>().unwrap();
+    assert!(serial(&second) > serial(&first));
+    let mode = std::fs::metadata(user.file("robot/chatter.ad")).unwrap().permissions().mode();
+    assert_eq!(mode & 0o7777, 0o640, "permissions stay");
+    let shown = user.json(&["cert", "show", "robot/chatter.ad", "--card", "chatter.card"]);
+    assert_eq!((&shown["verified"], &shown["claims"]), (&true.into(), &second["claims"]));
+
+    // By the card: each file once, and longer.
+    let text = user.text(&[&renew[..], &["chatter.card", "--for", "30d"]].concat());
+    assert_eq!((text.lines().count(), text.matches("Z, in 30 d\n").count()), (2, 2), "{text}");
+    assert_eq!(user.json(&["grant", "list", "chatter.card"])["grants"].as_array().unwrap().len(), 5);
+    let arms = user.json(&["cert", "show", "arms.grant", "--card", "chatter.card"]);
+    assert_eq!((&arms["verified"], &arms["claims"]["to"]["role"]["role"]), (&true.into(), &"arm".into()));
+
+    // A file that went away is told, and what is revoked is not renewed.
+    std::fs::remove_file(user.file("arms.grant")).unwrap();
+    let output = user.run(&[&renew[..], &["chatter.card"]].concat());
+    let warned = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && warned.contains("arms.grant is not renewed"), "{warned}");
+    user.json(&["grant", "revoke", "chatter.card", "robot/chatter.ad", "--key", "owner.pem"]);
+    let refused = user.refusal(1, &[&renew[..], &["robot/chatter.ad"]].concat());
+    assert!(refused.contains("it is revoked") && refused.contains("grant add"), "{refused}");
+    std::fs::remove_file(user.file("chatter.card.grants")).unwrap();
+    let unknown = user.refusal(1, &[&renew[..], &["robot/chatter.ad"]].concat());
+    assert!(unknown.contains("no name card beside it or in this folder has a ledger with it"), "{unknown}");
+}
+
+#[test]
 fn a_delegate_grants_until_the_owner_takes_that_back() {
     let user = owner();
     let robot = entity(&user, "robot");
@@ -74,6 +137,8 @@ fn a_delegate_grants_until_the_owner_takes_that_back() {
     let shown = user.json(&["cert", "show", "robot.ad", "--card", "chatter.card"]);
     assert_eq!((&shown["verified"], &shown["delegation"]["delegate"]), (&true.into(), &key.into()));
     assert_eq!(ad["claims"]["not_after"], shown["delegation"]["not_after"], "not longer than the delegation");
+    let renewed = user.json(&["grant", "renew", "robot.ad", "--key", "delegate.pem"]);
+    assert_eq!(renewed["claims"]["not_after"], shown["delegation"]["not_after"], "under the same delegation");
     let refused = user.refusal(1, &[&add[..], &["--read", "-o", "robot.grant"]].concat());
     assert!(refused.contains("not delegated") && !user.file("robot.grant").exists(), "{refused}");
     let foreign = ["grant", "add", "copy.card", "--key", "robot.pem", "--delegation", "delegation", "--publish"];
@@ -81,7 +146,7 @@ fn a_delegate_grants_until_the_owner_takes_that_back() {
     assert!(refused.contains("for another key"), "{refused}");
     let refused = user.refusal(1, &["grant", "revoke", "copy.card", "robot.ad", "--key", "delegate.pem"]);
     assert!(refused.contains("only the owner revokes"), "{refused}");
-    assert_eq!(user.json(&["grant", "list", "copy.card"])["grants"].as_array().unwrap().len(), 1);
+    assert_eq!(user.json(&["grant", "list", "copy.card"])["grants"].as_array().unwrap().len(), 2);
 
     user.json(&["grant", "revoke", "chatter.card", "--delegate", key, "--key", "owner.pem"]);
     let refused = user.refusal(1, &["cert", "show", "robot.ad", "--card", "chatter.card"]);

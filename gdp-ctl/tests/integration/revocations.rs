@@ -59,7 +59,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
         move || try_ask(&config.socket, request)
     });
     let error = refused.await.unwrap().unwrap_err();
-    assert!(error.contains("ReplayedSerial"), "{error}");
+    assert!(error.contains("rolled back: revocation 1"), "{error}");
     // The operator of the switch may list names by a prefix of only one digit.
     let digit: NamePrefix = owner.card.name().to_string()[..1].parse().unwrap();
     wait("the robot to be there again", async || {

@@ -15,7 +15,6 @@ mod relay;
 mod schema;
 mod thing;
 mod topics;
-mod unknown;
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -25,9 +24,11 @@ use std::path::{Path, PathBuf};
 use gdp::LinkConfig;
 use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
+use gdp_core::file_kind::FileKind;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
 use gdp_ros::roster::Dialect;
+use gdp_util::yaml;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
@@ -212,8 +213,12 @@ impl From<&LinkEntry> for LinkConfig {
 /// Errors of a configuration file. Every text begins with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    #[error("{}: cannot be read: there is no such file in {}", path.display(), folder.display())]
+    Missing { path: PathBuf, folder: PathBuf },
     #[error("{}: cannot be read: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
+    #[error("{}: it is {kind}, not a proxy configuration", path.display())]
+    OtherKind { path: PathBuf, kind: FileKind },
     #[error("{}: longer than {MAX_FILE} bytes, so not a proxy configuration", .0.display())]
     TooLong(PathBuf),
     #[error("{}: {message}", path.display())]
@@ -225,7 +230,13 @@ pub enum ConfigError {
 impl Config {
     /// Reads and checks a file. Relative paths in it are relative to its folder.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let io = |source| ConfigError::Io { path: path.into(), source };
+        let io = |source: io::Error| match std::path::absolute(path) {
+            Ok(absolute) if source.kind() == io::ErrorKind::NotFound => {
+                let folder = absolute.parent().unwrap_or(&absolute).into();
+                ConfigError::Missing { path: path.into(), folder }
+            }
+            _ => ConfigError::Io { path: path.into(), source },
+        };
         let mut text = String::new();
         let length = File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
         if length as u64 > MAX_FILE {
@@ -236,10 +247,10 @@ impl Config {
 
     /// Parses and checks a text. `path` is the file that it comes from.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        // Errors quote no lines, because a file given by mistake may be a private key.
-        let options = serde_saphyr::options! { with_snippet: false };
-        let mut config: Self = serde_saphyr::from_str_with_options(text, options)
-            .map_err(|error| ConfigError::Syntax { path: path.into(), message: unknown::say(&error) })?;
+        let mut config: Self = yaml::parse(text).map_err(|message| match FileKind::of(text) {
+            Some(kind) => ConfigError::OtherKind { path: path.into(), kind },
+            None => ConfigError::Syntax { path: path.into(), message },
+        })?;
         config.check().map_err(|(key, reason)| ConfigError::Invalid { path: path.into(), key, reason })?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
         Ok(config)
@@ -395,6 +406,9 @@ fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D
     String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
 }
 
+#[cfg(test)]
+#[path = "../../tests/unit/config/mistakes.rs"]
+mod mistakes;
 #[cfg(test)]
 #[path = "../../tests/unit/config.rs"]
 mod tests;

@@ -203,8 +203,9 @@ impl Site {
         site.beyond.ip(&["address", "add", "192.0.2.2/24", "dev", "b0"])?;
         fs::create_dir(site.file("far"))?;
         let mut far = own(site.tools.gdp_ctl()?);
-        let far = execute(far.args(["key", "generate", "--kind", "switch"]).arg(site.file(FAR)))?;
-        let neighbour = json!({"udp": "192.0.2.2:31415", "switch": far.trim()});
+        let far = execute(far.args(["key", "generate", "--kind", "switch", "-j"]).arg(site.file(FAR)))?;
+        let far: Value = serde_json::from_str(&far).with_context(|| format!("not JSON: {far}"))?;
+        let neighbour = json!({"udp": "192.0.2.2:31415", "switch": far["name"]});
         let config = json!({"identity": "key.pem", "socket": "socket", "bpffs": "bpf", "neighbours": [neighbour]});
         fs::write(site.file("config.yaml"), config.to_string())?;
         Ok(site)

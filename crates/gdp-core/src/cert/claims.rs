@@ -1,6 +1,7 @@
 //! Common parts of all certificates and statements. Times are Unix seconds, both ends included.
 
 use crate::cert::error::CertError;
+use gdp_util::date::rfc3339;
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Tolerance in seconds for an issuer's clock that is ahead of the verifier's. Expiry has no such
@@ -49,7 +50,8 @@ impl Validity {
     pub(super) fn check_order(&self) -> Result<(), CertError> {
         let Self { not_before, not_after } = self;
         if not_before > not_after {
-            return Err(CertError::Malformed(format!("begins at {not_before}, after it ends at {not_after}")));
+            let (begin, end) = (rfc3339(*not_before), rfc3339(*not_after));
+            return Err(CertError::Malformed(format!("begins {begin}, after it ends {end}")));
         }
         Ok(())
     }

@@ -13,6 +13,7 @@ use crate::cert::name_proof::{MAX_PROOF, PROOF_LABEL, expect_domain};
 use crate::identity::Identity;
 use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
+use gdp_util::date::rfc3339;
 use p256::pkcs8::{LineEnding, der::pem};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -238,8 +239,9 @@ impl Membership {
         }
         if claims.not_after > invite.member_until {
             return Err(CertError::Malformed(format!(
-                "it ends at Unix time {}, and the invitation admits members until {}",
-                claims.not_after, invite.member_until
+                "it ends {}, and the invitation admits members until {}",
+                rfc3339(claims.not_after),
+                rfc3339(invite.member_until)
             )));
         }
         // This check catches honest latecomers. The RIB catches backdated certificates.

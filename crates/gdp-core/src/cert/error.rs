@@ -4,6 +4,7 @@ use crate::cbor::CborError;
 use crate::cert::advert_op::AdvertOp;
 use crate::crypto::CryptoError;
 use crate::name::Name;
+use gdp_util::date::relative;
 
 /// Reason why a certificate or statement is refused. The display names what is wrong and what to do
 /// about it.
@@ -22,14 +23,14 @@ pub enum CertError {
     UnknownField { what: &'static str, field: String },
     #[error("wrong key: the {what} was signed by {got}, but must be signed by {expected}; sign it with that key")]
     WrongKey { what: &'static str, expected: String, got: String },
-    #[error("not yet valid: begins at Unix time {from}, now is {now}; wait, or check the clock")]
+    #[error("not yet valid: begins {}; wait, or check the clock", relative(*from, *now))]
     NotYetValid { from: u64, now: u64 },
     #[error(
-        "issued later: the {what} has serial {serial}, a time of issue in ns, and now is {now} s; have it issued anew, \
-         or check the clock"
+        "issued later: the {what} with serial {serial} was issued {}; have it issued anew, or check the clock",
+        relative(serial / 1_000_000_000, *now)
     )]
     IssuedLater { what: &'static str, serial: u64, now: u64 },
-    #[error("expired at Unix time {at}, now is {now}; have a new one issued, or check the clock")]
+    #[error("expired {}; have a new one issued, or check the clock", relative(*at, *now))]
     Expired { at: u64, now: u64 },
     #[error("malformed certificate: {0}")]
     Malformed(String),

@@ -55,6 +55,19 @@ fn what_is_not_exactly_a_card_is_refused() {
 }
 
 #[test]
+fn another_file_is_said_to_be_what_it_is() {
+    let of = |text: &str| NameCard::from_json(text).unwrap_err().to_string();
+    let cert = of("-----BEGIN GDP AD CERT-----\nAAAA\n-----END GDP AD CERT-----\n");
+    assert!(
+        cert.starts_with("not a name card: it is a certificate to publish (GDP AD CERT); a name card is"),
+        "{cert}"
+    );
+    assert!(of("kind: proxy\n-----BEGIN PRIVATE KEY-----\n").contains("it is a private key"));
+    let junk = of("junk");
+    assert!(junk.contains("`gdp-ctl name create`") && !junk.contains("column"), "{junk}");
+}
+
+#[test]
 fn cards_are_bounded() {
     let owner = SigningKey::from_secret_bytes(&[7; 32]).unwrap().verify_key();
     let new = |entries: Vec<(String, String)>| NameCard::new(owner, entries.into_iter().collect());

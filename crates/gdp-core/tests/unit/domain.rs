@@ -51,7 +51,7 @@ fn what_has_ended_or_was_taken_back_is_refused_by_serial_and_remedy() {
     let mut trust = switch.trust(true);
     let meet = |trust: &Trust, now| trust.admit(Role::Switch, &other.as_switch(), other.shows(), now);
     assert!(meet(&trust, NOW + 60).is_ok());
-    for (now, why) in [(NOW + 61, "expired at"), (NOW - 61 - CLOCKS_DIFFER, "not yet valid")] {
+    for (now, why) in [(NOW + 61, "expired "), (NOW - 61 - CLOCKS_DIFFER, "not yet valid")] {
         let refused = meet(&trust, now).unwrap_err().to_string();
         assert!(refused.contains(why) && refused.contains(&format!("serial {}", ISSUED + 11)), "{refused}");
     }

@@ -43,6 +43,42 @@ fn a_readable_or_broken_key_file_is_refused() {
 }
 
 #[test]
+fn a_key_file_may_state_its_kind() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("robot.pem");
+    let robot = Identity::generate("proxy").unwrap();
+    robot.save_new(&path).unwrap();
+    let text = fs::read_to_string(&path).unwrap();
+    assert!(text.starts_with("kind: proxy\n-----BEGIN PRIVATE KEY-----\n"), "the key follows");
+    let file = KeyFile::load(&path).unwrap();
+    assert_eq!(file.kind.as_deref(), Some("proxy"));
+    assert_eq!(file.identity_or("tool").name(), robot.name());
+    assert_eq!(SigningKey::load(&path).unwrap().public(), robot.key().public());
+
+    // Explanatory text of others, a kind that is none, and a file without text.
+    let key = text.strip_prefix("kind: proxy\n").unwrap();
+    for (before, kind) in [
+        ("Bag Attributes\r\nkind: tool\r\n", Some("tool")),
+        ("kind: Two words\n", None),
+        ("key of\n", None),
+        ("", None),
+    ] {
+        fs::write(&path, format!("{before}{key}")).unwrap();
+        let file = KeyFile::load(&path).unwrap();
+        assert_eq!(file.kind.as_deref(), kind, "{before}");
+        assert_eq!(file.identity_or("proxy").name() == robot.name(), kind.is_none(), "{before}");
+    }
+
+    let made = Identity::load_or_generate(&dir.path().join("s1.pem"), "switch").unwrap();
+    let file = KeyFile::load(&dir.path().join("s1.pem")).unwrap();
+    assert_eq!(file.kind.as_deref(), Some("switch"));
+    assert_eq!(file.identity_or("").name(), made.name());
+    fs::write(&path, "-----BEGIN GDP AD CERT-----\nAAAA\n-----END GDP AD CERT-----\n").unwrap();
+    let error = SigningKey::load(&path).unwrap_err().to_string();
+    assert!(error.contains("robot.pem: it is a certificate to publish (GDP AD CERT), not a private key"), "{error}");
+}
+
+#[test]
 fn processes_that_start_together_get_one_key() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("key.pem");

@@ -44,3 +44,20 @@ fn anything_else_is_refused() {
         assert!(text.parse::<LinkTarget>().is_err(), "{text}");
     }
 }
+
+#[test]
+fn an_address_without_its_scheme_is_understood() {
+    for (text, meant) in [
+        ("127.0.0.1:31415", Some("udp://127.0.0.1:31415")),
+        ("edge.local", Some("udp://edge.local:31415")),
+        ("[::1]:9", Some("udp://[::1]:9")),
+        ("tcp://edge:9", Some("udp://edge:9")),
+        ("udp://:1", None),
+        ("wlan0", None),
+        ("udp:edge", None),
+    ] {
+        let error = text.parse::<LinkTarget>().unwrap_err().to_string();
+        let hint = meant.map(|meant| format!("is no link: did you mean {meant}?"));
+        assert!(hint.map_or(error.contains("is no link: expected eth://"), |hint| error.ends_with(&hint)), "{error}");
+    }
+}

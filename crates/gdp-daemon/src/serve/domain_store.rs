@@ -9,6 +9,7 @@ use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
 use gdp_core::{cbor, secret_file};
 use gdp_proto::control::Refusal;
+use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
 
 use super::revocation_store::RevocationStore;
@@ -57,7 +58,10 @@ impl DomainStore {
         let invitations = identity_file.with_extension("invitations");
         let used = load_used(&invitations)?;
         match trust.own(unix_seconds()) {
-            Ok(own) => tracing::info!("{} of domain {:#} until Unix time {}", own.role, own.domain, own.not_after),
+            Ok(own) => {
+                let until = relative(own.not_after, unix_seconds());
+                tracing::info!("{} of domain {:#} until {until}", own.role, own.domain);
+            }
             Err(error) => tracing::error!("no link to anybody of a domain: {error}"),
         }
         Ok((

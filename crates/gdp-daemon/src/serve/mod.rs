@@ -25,6 +25,7 @@ pub mod interfaces;
 mod links;
 mod liveness;
 mod peering;
+mod port_owner;
 mod ports;
 mod ready;
 mod refusals;
@@ -110,6 +111,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
     let admin = admin::listen(&daemon, &config.socket)?;
+    config.udp.map_or(Ok(()), port_owner::expect_free)?;
     let mut opened = Vec::new();
     for name in &interfaces {
         opened.push(match ports::open_ethernet(&daemon, name) {

@@ -1,5 +1,6 @@
 //! The reasons why a daemon does not start.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use gdp_core::secret_file::SecretFileError;
@@ -30,6 +31,8 @@ pub enum StartError {
          0.0.0.0:31415"
     )]
     NoPort,
+    #[error("UDP {addr} is used by {owner}; stop it, or choose another port with --udp or `udp:`")]
+    PortTaken { addr: SocketAddr, owner: String },
     #[error(transparent)]
     Admin(#[from] AdminError),
     #[error(transparent)]

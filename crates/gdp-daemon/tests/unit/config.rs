@@ -197,7 +197,9 @@ fn a_secret_given_by_mistake_is_not_repeated() {
 #[test]
 fn what_is_wrong_is_named() {
     for (text, needle) in [
-        ("identiti: x", "identiti"),
+        ("identiti: x", "there is no key `identiti`; did you mean `identity`? at line 1, column 1"),
+        ("kind: switch\n-----BEGIN PRIVATE KEY-----\nAAAA\n", "it is a private key, not a daemon's configuration"),
+        ("udp:\n\t- a", "a tab; use spaces"),
         ("udp: nowhere", "is not an address and port"),
         ("public: [a, b]", "invalid socket address"),
         (&format!("public: [{}]", ["'192.0.2.1:9'"; 9].join(", ")), "at most 8"),

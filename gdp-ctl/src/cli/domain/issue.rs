@@ -20,11 +20,9 @@ use super::super::output;
 use super::ledger::{Issue, To};
 use crate::cli::context::Context;
 use crate::cli::domain::authority::{Authority, card_file_of, expect_new};
-use crate::cli::issuing::validity;
+use crate::cli::entity::parse_entity;
+use crate::cli::issuing::{parse_seconds, validity};
 use gdp_util::unix_time::unix_seconds;
-
-const DAY: u64 = 86400;
-const HOUR: u64 = 3600;
 
 #[derive(Debug, Args)]
 pub struct InitOptions {
@@ -54,15 +52,16 @@ impl KeyOptions {
 pub struct AdmitOptions {
     #[command(flatten)]
     key: KeyOptions,
-    /// New member: 64 hex digits, as printed by `gdp-ctl key show`.
+    /// New member: its name, as printed by `gdp-ctl key show`, or its key file.
+    #[arg(value_name = "NAME|FILE", value_parser = parse_entity)]
     entity: Name,
     /// Role: `switch`, `rib` or `border` for forwarders, or any other for use in grants: 1 to 32 of
     /// a-z, 0-9, _ and -.
     #[arg(long)]
     role: String,
-    /// Duration of the membership, in days.
-    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
-    days: u32,
+    /// Validity of the membership, such as 12h or 365d.
+    #[arg(long = "for", default_value = "365d", value_parser = parse_seconds, value_name = "TIME")]
+    lifetime: u32,
     /// Membership certificate: a new file, which the member needs.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -79,15 +78,15 @@ pub struct InviteOptions {
     /// interface.
     #[arg(long, value_name = "LINK")]
     at: LinkTarget,
-    /// Switch at that address.
-    #[arg(long, value_name = "NAME")]
+    /// Switch at that address: its name, as printed by `gdp-ctl status` there, or its key file.
+    #[arg(long, value_name = "NAME|FILE", value_parser = parse_entity)]
     switch: Option<Name>,
-    /// Validity of the invitation, in hours.
-    #[arg(long, value_name = "N", default_value = "24", value_parser = clap::value_parser!(u32).range(1..))]
-    hours: u32,
-    /// Duration of the resulting membership, in days.
-    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
-    days: u32,
+    /// Validity of the invitation, such as 30m or 24h.
+    #[arg(long = "for", default_value = "24h", value_parser = parse_seconds, value_name = "TIME")]
+    lifetime: u32,
+    /// Validity of the resulting membership, such as 12h or 365d.
+    #[arg(long, default_value = "365d", value_parser = parse_seconds, value_name = "TIME")]
+    member_for: u32,
 }
 
 #[derive(Debug, Args)]
@@ -100,9 +99,9 @@ pub struct PeerOptions {
     /// domain into a third one), visit (its robots attach here).
     #[arg(long, value_name = "RIGHT,…")]
     rights: PeerRights,
-    /// Validity of the certificate, in days.
-    #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
-    days: u32,
+    /// Validity of the certificate, such as 7d.
+    #[arg(long = "for", default_value = "365d", value_parser = parse_seconds, value_name = "TIME")]
+    lifetime: u32,
     /// Certificate: a new file, for `peers:` in the configuration of this domain's own border
     /// switches and robots.
     #[arg(short, long, value_name = "FILE")]
@@ -131,7 +130,7 @@ pub fn create_domain(folder: &Path) -> anyhow::Result<InitOutput> {
     let card_file = card_file_of(&key_file);
     expect_new(&card_file)?;
     let identity = Identity::new(SigningKey::generate()?, "domain");
-    identity.key().save_new(&key_file)?;
+    identity.save_new(&key_file)?;
     let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
     output::write_new(&card_file, &card.to_json())?;
     Ok(InitOutput { name: identity.name(), key: key_file, card: card_file })
@@ -140,7 +139,7 @@ pub fn create_domain(folder: &Path) -> anyhow::Result<InitOutput> {
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let file = expect_new(&options.output)?;
     let authority = options.key.open()?;
-    let (not_before, not_after) = validity(u64::from(options.days) * DAY);
+    let (not_before, not_after) = validity(u64::from(options.lifetime));
     let (domain, serial) = (authority.identity.name(), authority.serial);
     let (entity, role) = (options.entity, options.role.clone());
     let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
@@ -164,8 +163,8 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
     }
     let authority = options.key.open()?;
     let invited = SigningKey::generate()?;
-    let (not_before, not_after) = validity(u64::from(options.hours) * HOUR);
-    let (_, member_until) = validity(u64::from(options.days) * DAY);
+    let (not_before, not_after) = validity(u64::from(options.lifetime));
+    let (_, member_until) = validity(u64::from(options.member_for));
     let member_until = member_until.max(not_after);
     let (domain, serial, key) = (authority.identity.name(), authority.serial, invited.verify_key());
     let claims = Invite { domain, key, role: role.clone(), serial, not_before, not_after, member_until };
@@ -182,7 +181,7 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
 pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let file = expect_new(&options.output)?;
     let authority = options.key.open()?;
-    let (not_before, not_after) = validity(u64::from(options.days) * DAY);
+    let (not_before, not_after) = validity(u64::from(options.lifetime));
     let (domain, serial) = (authority.identity.name(), authority.serial);
     let (peer, rights) = (options.domain, options.rights);
     let claims = PeerCert { domain, peer, rights, serial, not_before, not_after };

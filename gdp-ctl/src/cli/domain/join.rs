@@ -13,7 +13,9 @@ use gdp_core::identity::{Identity, VerifyKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_core::name;
 use gdp_core::name::Metadata;
+use gdp_util::date::relative;
 use gdp_util::escape::escape_json;
+use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -94,13 +96,10 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         config: config_file,
     };
     context.output.print(&output, || {
-        [format!(
-            "{} is {} of {:#}: {} (to be completed, if it is a proxy's, with its topics)",
-            output.name,
-            output.role,
-            output.domain,
-            output.config.display()
-        )]
+        let until = relative(output.not_after, unix_seconds());
+        let next = if is_switch { "" } else { ", to which you add topics or expose" };
+        let (name, role, domain, config) = (output.name, &output.role, output.domain, output.config.display());
+        [format!("{name} is {role} of {domain:#} until {until}: {config}{next}")]
     })
 }
 

@@ -67,10 +67,22 @@ impl Issue {
 
     /// Returns the entity or domain to which the certificate was issued.
     pub fn holder(&self) -> Option<Name> {
+        self.member().or(self.peer())
+    }
+
+    /// Returns the entity that the certificate makes a member.
+    pub fn member(&self) -> Option<Name> {
         match self.to {
             To::Member { entity, .. } => Some(entity),
+            To::Peer { .. } | To::Invited { .. } => None,
+        }
+    }
+
+    /// Returns the domain to which the certificate grants rights.
+    pub fn peer(&self) -> Option<Name> {
+        match self.to {
             To::Peer { domain, .. } => Some(domain),
-            To::Invited { .. } => None,
+            To::Member { .. } | To::Invited { .. } => None,
         }
     }
 

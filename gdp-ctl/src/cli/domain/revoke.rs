@@ -1,19 +1,21 @@
 //! `gdp-ctl domain revoke`: signs the domain's next revocation, with a higher number than the last.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::issue;
 use gdp_core::domain::Token;
+use gdp_core::name::NamePrefix;
 use gdp_wire::Name;
 
 use super::super::credential_file::CredentialFile;
 use super::super::revocation::{next, publish};
 use super::issue::KeyOptions;
-use super::ledger::To;
 use crate::cli::context::Context;
 use crate::cli::domain::authority::Authority;
+use crate::cli::entity::{find, parse_entity_prefix};
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
@@ -24,9 +26,10 @@ pub struct Options {
     /// invitation on stdin. Without a selection, the command publishes the newest revocation again.
     #[arg(value_name = "SERIAL|FILE")]
     what: Vec<String>,
-    /// All memberships of this entity in the domain's ledger.
-    #[arg(long, value_name = "NAME")]
-    entity: Vec<Name>,
+    /// All memberships of this entity in the domain's ledger: its name, the first digits of it, or
+    /// its key file.
+    #[arg(long, value_name = "NAME|PREFIX|FILE", value_parser = parse_entity_prefix)]
+    entity: Vec<NamePrefix>,
     /// All rights granted to this other domain.
     #[arg(long, value_name = "NAME")]
     domain: Vec<Name>,
@@ -67,20 +70,29 @@ impl Options {
                 }
             });
         }
-        let members = self.entity.iter().map(|name| (name, true));
-        for (name, is_member) in members.chain(self.domain.iter().map(|name| (name, false))) {
+        for prefix in &self.entity {
+            let members = authority.issued.iter().filter_map(|issue| Some((issue.member()?, issue.serial)));
+            let entity = find(prefix, members.clone().map(|(member, _)| member))?;
+            let entity = entity.with_context(|| nothing_for(prefix))?;
+            chosen.extend(members.filter(|(member, _)| *member == entity).map(|(_, serial)| serial));
+        }
+        for domain in &self.domain {
             let before = chosen.len();
-            let of = authority.issued.iter().filter(|issue| issue.holder() == Some(*name));
-            chosen.extend(of.filter(|i| matches!(i.to, To::Member { .. }) == is_member).map(|i| i.serial));
+            let peers = authority.issued.iter().filter(|issue| issue.peer() == Some(*domain));
+            chosen.extend(peers.map(|issue| issue.serial));
             if chosen.len() == before {
-                bail!(
-                    "nothing was issued to {name} from here; name its files or their serials, or those of its \
-                     invitation"
-                );
+                bail!(nothing_for(domain));
             }
         }
         Ok(chosen)
     }
+}
+
+fn nothing_for(whom: &dyn Display) -> String {
+    format!(
+        "nothing was issued to {whom} from here; name its files, or the serials of `gdp-ctl domain show`, such as that \
+         of its invitation"
+    )
 }
 
 fn serial_of(token: &Token, authority: &Authority) -> anyhow::Result<u64> {

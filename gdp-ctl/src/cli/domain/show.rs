@@ -17,6 +17,7 @@ use super::super::{cert, output};
 use super::join::read_token;
 use super::ledger::{Issue, IssueOutput};
 use crate::cli::context::Context;
+use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
@@ -73,6 +74,7 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
         at: token.at().to_string(),
         switch: token.switch(),
     };
+    let now = unix_seconds();
     context.output.print(&output, || {
         let switch = token.switch().map_or("any".to_owned(), |switch| switch.to_string());
         [
@@ -80,8 +82,8 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
             format!("domain      {}", invite.domain),
             format!("role        {}", invite.role),
             format!("serial      {}", invite.serial),
-            format!("use until   {}", invite.not_after),
-            format!("member until {}", invite.member_until),
+            format!("use until   {}", relative(invite.not_after, now)),
+            format!("member until {}", relative(invite.member_until, now)),
             format!("dial        {}", token.at()),
             format!("switch      {switch}"),
         ]

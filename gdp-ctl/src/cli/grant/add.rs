@@ -1,24 +1,21 @@
 //! `gdp-ctl grant add`: a certificate for one entity, one role or one delegate.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args};
-use gdp_core::card::NameCard;
-use gdp_core::cert::{
-    AboutName, AdCert, Claims, Delegation, Grantee, Issued, ReadGrant, Revocation, Signed, Validity, issue,
-};
-use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_core::cert::{AdCert, Delegation, Grantee, ReadGrant, Signed, Validity, issue};
+use gdp_core::identity::VerifyKey;
 use gdp_wire::Name;
 
 use super::super::credential_file::IssuedOutput;
 use super::super::issuance_log::IssuanceLog;
 use super::super::output;
-use super::super::revocation::next_serial;
+use super::issuer::Issuer;
 use super::ledger::{Grant, Holder};
 use crate::cli::context::Context;
-use crate::cli::issuing::{parse_seconds, validity};
-use gdp_util::unix_time::unix_seconds;
+use crate::cli::entity::{parse_entity, parse_public_key};
+use crate::cli::issuing::parse_seconds;
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("to").required(true).args(["entity", "role", "delegate"]))]
@@ -38,8 +35,8 @@ pub struct Options {
     /// Right to subscribe, or to make requests.
     #[arg(long)]
     read: bool,
-    /// Entity that receives the grant: 64 hex digits, as printed by `gdp-ctl key show`.
-    #[arg(long, value_name = "NAME")]
+    /// Entity that receives the grant: its name, as printed by `gdp-ctl key show`, or its key file.
+    #[arg(long, value_name = "NAME|FILE", value_parser = parse_entity)]
     entity: Option<Name>,
     /// Role whose members in --domain receive the grant (only with --read).
     #[arg(long, requires = "domain", conflicts_with = "publish")]
@@ -47,8 +44,9 @@ pub struct Options {
     /// Domain that assigns --role.
     #[arg(long, value_name = "NAME", requires = "role")]
     domain: Option<Name>,
-    /// Key that may issue such grants to others: 66 hex digits, as printed by `gdp-ctl key show`.
-    #[arg(long, value_name = "KEY")]
+    /// Key that may issue such grants to others: 66 hex digits, as `gdp-ctl -j key show` prints
+    /// them, or the key file.
+    #[arg(long, value_name = "KEY", value_parser = parse_public_key)]
     delegate: Option<VerifyKey>,
     /// Domain that may learn the name; repeat for several. Default: only the domain in which the
     /// name is advertised.
@@ -64,10 +62,16 @@ pub struct Options {
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     if options.output.exists() {
-        bail!("{}: a file of this name exists and is not overwritten", options.output.display());
+        let file = options.output.display();
+        bail!("{file}: a file of this name exists and is not overwritten; `gdp-ctl grant renew {file}` renews it");
     }
     let issuance_log = IssuanceLog::open(&options.card)?;
-    let issuer = Issuer::open(&options, &issuance_log)?;
+    let delegation = options.delegation.as_ref().map(|file| {
+        let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let signed = Signed::<Delegation>::from_pem(&text).with_context(|| file.display().to_string())?;
+        anyhow::Ok((file.as_path(), signed))
+    });
+    let issuer = Issuer::open(&options.key, &options.card, &issuance_log, delegation.transpose()?, options.lifetime)?;
     let (name, serial, Validity { not_before, not_after }) = (issuer.card.name(), issuer.serial, issuer.validity);
     let (publish, read) = (options.publish, options.read);
     let (to, (text, output)) = match (options.delegate, options.entity, &options.role, options.domain) {
@@ -98,58 +102,4 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     issuance_log.keep_ledger(grants)?;
     output::write_new(&options.output, &text)?;
     context.output.print(&output, || [options.output.display().to_string()])
-}
-
-/// The issuer, and the common properties of the certificates that it issues now.
-struct Issuer<'b> {
-    card: &'b NameCard,
-    key: SigningKey,
-    delegation: Option<Signed<Delegation>>,
-    revocation: Option<Revocation>,
-    grants: Vec<Grant>,
-    serial: u64,
-    validity: Validity,
-}
-
-impl<'b> Issuer<'b> {
-    fn open(options: &Options, issuance_log: &'b IssuanceLog) -> anyhow::Result<Self> {
-        let (card, key) = (issuance_log.card(), SigningKey::load(&options.key)?);
-        let (grants, revocation) =
-            (issuance_log.ledger::<Grant>()?, issuance_log.revocation()?.map(|(_, revocation)| revocation));
-        let mut serial = next_serial(&grants, revocation.as_ref())?;
-        let (not_before, not_after) = validity(u64::from(options.lifetime));
-        let mut validity = Validity { not_before, not_after };
-        let delegation = match &options.delegation {
-            Some(file) => {
-                let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-                let signed = Signed::<Delegation>::from_pem(&text).with_context(|| file.display().to_string())?;
-                let claims =
-                    signed.verify(card.owner_key(), unix_seconds()).with_context(|| file.display().to_string())?;
-                if claims.delegate != key.verify_key() {
-                    bail!("{} is for another key than {}", file.display(), options.key.display());
-                }
-                validity = validity.and(claims.validity());
-                serial = serial.max(claims.serial);
-                Some(signed)
-            }
-            None if key.verify_key() != *card.owner_key() => bail!(
-                "{} is not the owner of {} ({}): its public key is {}, the card names {}; a delegate adds --delegation",
-                options.key.display(),
-                card.name(),
-                options.card.display(),
-                key.verify_key(),
-                card.owner_key()
-            ),
-            None => None,
-        };
-        Ok(Self { card, key, delegation, revocation, grants, serial, validity })
-    }
-
-    /// Returns the text of a certificate and its output. Fails if the recipient would refuse the
-    /// certificate.
-    fn issue<T: AboutName>(&self, claims: &T, file: &Path) -> anyhow::Result<(String, IssuedOutput)> {
-        let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
-        issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_seconds())?;
-        Ok((issued.to_pem(), IssuedOutput::new(claims, self.serial, file)))
-    }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use gdp_core::cert::Grantee;
+use gdp_core::cert::{AdCert, Claims, Delegation, Grantee, ReadGrant, Revocation};
 use gdp_core::identity::VerifyKey;
 use gdp_wire::Name;
 use schemars::JsonSchema;
@@ -38,6 +38,23 @@ impl issuance_log::Entry for Grant {
     }
 }
 
+impl Grant {
+    /// Returns `valid`, `not yet`, `expired` or `revoked`.
+    pub fn state(&self, revocation: Option<&Revocation>, now: u64) -> &'static str {
+        let kind = match self.to {
+            Holder::Delegate(_) => Delegation::KIND,
+            _ if self.publish => AdCert::KIND,
+            _ => ReadGrant::KIND,
+        };
+        match revocation.map(|revocation| revocation.check(kind, self.serial)) {
+            Some(Err(_)) => "revoked",
+            _ if now > self.not_after => "expired",
+            _ if now < self.not_before => "not yet",
+            _ => "valid",
+        }
+    }
+}
+
 /// The recipient of a certificate.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
@@ -52,6 +69,16 @@ impl From<Grantee> for Holder {
         match grantee {
             Grantee::Entity(entity) => Self::Entity(entity),
             Grantee::Role { domain, role } => Self::Role { domain, role },
+        }
+    }
+}
+
+impl Holder {
+    /// Returns the entity, unless the recipient is a role or a delegate.
+    pub fn entity(&self) -> Option<Name> {
+        match self {
+            Self::Entity(entity) => Some(*entity),
+            Self::Role { .. } | Self::Delegate(_) => None,
         }
     }
 }

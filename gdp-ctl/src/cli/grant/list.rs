@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use gdp_core::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -13,6 +12,7 @@ use super::super::output;
 use super::super::revocation::RevocationOutput;
 use super::ledger::{Grant, Holder};
 use crate::cli::context::Context;
+use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
@@ -25,7 +25,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let issuance_log = IssuanceLog::open(&options.card)?;
     let (grants, (_, revocation)) = (issuance_log.ledger::<Grant>()?, issuance_log.revocation()?.unzip());
     let now = unix_seconds();
-    let state = |grant: &Grant| state(grant, revocation.as_ref(), now);
+    let state = |grant: &Grant| grant.state(revocation.as_ref(), now);
     let output = GrantsOutput {
         name: issuance_log.card().name(),
         grants: grants.iter().map(|grant| GrantOutput::new(grant, state(grant))).collect(),
@@ -33,12 +33,10 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     };
     context.output.print(&output, || {
         let row = |grant: &Grant| {
-            let left = match grant.not_after.saturating_sub(now) {
-                days @ 86400.. => format!("{} d", days / 86400),
-                seconds => format!("{seconds} s"),
-            };
             let holds = match state(grant) {
-                "valid" => format!("for {left}"),
+                "valid" => format!("until {}", relative(grant.not_after, now)),
+                "expired" => format!("expired {}", relative(grant.not_after, now)),
+                "not yet" => format!("from {}", relative(grant.not_before, now)),
                 other => other.to_owned(),
             };
             [grant.serial.to_string(), right(grant).into(), holder(&grant.to), holds, grant.file.display().to_string()]
@@ -75,20 +73,6 @@ impl GrantOutput {
     fn new(grant: &Grant, state: &'static str) -> Self {
         let Grant { serial, publish, read, to, not_before, not_after, file } = grant.clone();
         Self { serial: serial.to_string(), publish, read, to, not_before, not_after, file, state }
-    }
-}
-
-fn state(grant: &Grant, revocation: Option<&Revocation>, now: u64) -> &'static str {
-    let kind = match grant.to {
-        Holder::Delegate(_) => Delegation::KIND,
-        _ if grant.publish => AdCert::KIND,
-        _ => ReadGrant::KIND,
-    };
-    match revocation.map(|revocation| revocation.check(kind, grant.serial)) {
-        Some(Err(_)) => "revoked",
-        _ if now > grant.not_after => "expired",
-        _ if now < grant.not_before => "not yet",
-        _ => "valid",
     }
 }
 

@@ -2,8 +2,10 @@
 //! the owner's key, without a daemon. Only a revocation goes to a daemon, if one answers.
 
 mod add;
+mod issuer;
 mod ledger;
 mod list;
+mod renew;
 mod revoke;
 
 use clap::Subcommand;
@@ -22,6 +24,9 @@ pub enum Command {
     /// read it, or another key issue such grants.
     #[command(after_help = OFF_THE_ROBOT)]
     Add(add::Options),
+    /// Renew grants that were issued here, with the same rights. Replaces each file atomically.
+    #[command(after_help = OFF_THE_ROBOT)]
+    Renew(renew::Options),
     /// List the grants in the ledger of a name, and show which are still valid.
     List(list::Options),
     /// Revoke grants, and publish the revocation if a daemon answers.
@@ -32,6 +37,7 @@ pub enum Command {
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Add(options) => add::run(options, context),
+        Command::Renew(options) => renew::run(&options, context),
         Command::List(options) => list::run(&options, context),
         Command::Revoke(options) => revoke::run(&options, context),
     }

@@ -1,5 +1,6 @@
 //! `gdp-ctl grant revoke`: signs the owner's next revocation, with a higher number than the last.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -7,13 +8,14 @@ use clap::Args;
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Revocation, Signed, issue};
 use gdp_core::identity::{SigningKey, VerifyKey};
-use gdp_wire::Name;
+use gdp_core::name::NamePrefix;
 
 use super::super::credential_file::CredentialFile;
 use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::{next, next_serial, publish};
 use super::ledger::{Grant, Holder};
 use crate::cli::context::Context;
+use crate::cli::entity::{find, parse_entity_prefix, parse_public_key};
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
@@ -24,11 +26,12 @@ pub struct Options {
     /// selection, the command publishes the newest revocation again.
     #[arg(value_name = "SERIAL|FILE")]
     serials: Vec<String>,
-    /// All grants to this entity in the ledger, for example to a stolen robot.
-    #[arg(long, value_name = "NAME")]
-    entity: Vec<Name>,
+    /// All grants to this entity in the ledger, for example to a stolen robot: its name, the first
+    /// digits of it, or its key file.
+    #[arg(long, value_name = "NAME|PREFIX|FILE", value_parser = parse_entity_prefix)]
+    entity: Vec<NamePrefix>,
     /// This delegate, and all grants that it issued.
-    #[arg(long, value_name = "KEY")]
+    #[arg(long, value_name = "KEY", value_parser = parse_public_key)]
     delegate: Vec<VerifyKey>,
     /// All grants issued until now, by the owner or by delegates.
     #[arg(long)]
@@ -94,14 +97,23 @@ impl Options {
                 Err(_) => CredentialFile::load(Path::new(text))?.serial(card).with_context(|| text.clone())?,
             });
         }
-        let entities = self.entity.iter().copied().map(Holder::Entity);
-        for holder in entities.chain(self.delegate.iter().copied().map(Holder::Delegate)) {
+        let known = || grants.iter().filter_map(|grant| grant.to.entity());
+        let mut holders: Vec<Holder> = self.delegate.iter().copied().map(Holder::Delegate).collect();
+        for prefix in &self.entity {
+            let entity = find(prefix, known())?.with_context(|| nothing_for(prefix))?;
+            holders.push(Holder::Entity(entity));
+        }
+        for holder in holders {
             let before = chosen.len();
             chosen.extend(grants.iter().filter(|grant| grant.to == holder).map(|grant| grant.serial));
             if chosen.len() == before {
-                bail!("nothing was granted to {holder} from here; name its certificate files or their serials");
+                bail!(nothing_for(&holder));
             }
         }
         Ok(chosen)
     }
+}
+
+fn nothing_for(whom: &dyn Display) -> String {
+    format!("nothing was granted to {whom} from here; name certificate files or the serials of `gdp-ctl grant list`")
 }

@@ -11,3 +11,10 @@ fn times_have_units_and_bounds() {
         assert!(parse_seconds(text).is_err(), "{text:?}");
     }
 }
+
+#[test]
+fn a_renewal_lasts_as_long_as_the_certificate_did() {
+    let (not_before, not_after) = validity(604_800);
+    assert_eq!(lifetime(not_before, not_after), 604_800);
+    assert_eq!((lifetime(0, 0), lifetime(5, 100)), (1, 1));
+}

@@ -1,4 +1,4 @@
-//! Unit tests of `config::unknown`.
+//! Mistakes in a configuration, and their messages.
 
 use std::path::Path;
 
@@ -28,5 +28,24 @@ fn a_misspelt_key_is_named_with_its_line_and_with_what_was_meant() {
         let refusal = Config::parse(&text(&topic), Path::new("p.yaml")).unwrap_err().to_string();
         assert!(refusal.starts_with("p.yaml: ") && refusal.contains(expected), "{refusal}");
         assert_eq!(refusal.lines().count(), 1);
+    }
+}
+
+#[test]
+fn a_mistake_has_its_remedy() {
+    let cases = [
+        (
+            "version: 1\nidentity: a\nlinks: [{to: '127.0.0.1:31415'}]\n",
+            "is no link: did you mean udp://127.0.0.1:31415? at line 3",
+        ),
+        ("version: 1\nlinks:\n\t- to: udp://edge\n", "a tab; use spaces, because YAML allows no tabs here at line 3"),
+        ("kind: proxy\n-----BEGIN PRIVATE KEY-----\nAAAA\n", "it is a private key, not a proxy configuration"),
+        ("-----BEGIN GDP AD CERT-----\nAAAA\n", "it is a certificate to publish (GDP AD CERT), not a proxy"),
+        ("{\"version\": 1, \"owner_key\": \"02\"}\n", "it is a name card, not a proxy configuration"),
+    ];
+    for (text, expected) in cases {
+        let refusal = Config::parse(text, Path::new("p.yaml")).unwrap_err().to_string();
+        assert!(refusal.starts_with("p.yaml: ") && refusal.contains(expected), "{refusal}");
+        assert_eq!((refusal.lines().count(), refusal.matches(" at line").count() < 2), (1, true), "{refusal}");
     }
 }

@@ -1,0 +1,36 @@
+//! Unit tests of `yaml`.
+
+use super::*;
+use serde::Deserialize;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code)]
+struct File {
+    identity: String,
+    plane: Plane,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Plane {
+    Xdp,
+    Userspace,
+}
+
+#[test]
+fn a_mistake_is_said_with_its_line_and_with_what_was_meant() {
+    assert!(parse::<File>("identity: a\nplane: xdp\n").is_ok());
+    for (text, expected) in [
+        ("identty: a\n", "there is no key `identty`; did you mean `identity`? at line 1, column 1"),
+        ("identity: a\nzz: 1\n", "there is no key `zz`; there is identity, plane at line 2"),
+        ("identity: a\nplane: user_space\n", "there is no value `user_space`; did you mean `userspace`? at line 2"),
+        ("identity: a\nplane:\n\t- xdp\n", "a tab; use spaces, because YAML allows no tabs here at line 3"),
+    ] {
+        let error = parse::<File>(text).unwrap_err();
+        assert!(error.contains(expected), "{error}");
+        assert_eq!((error.lines().count(), error.matches("at line").count()), (1, 1), "{error}");
+    }
+    let secret = parse::<File>("c2VjcmV0\n").unwrap_err();
+    assert!(!secret.contains("c2VjcmV0"), "{secret}");
+}
