@@ -7,19 +7,20 @@ use std::io::{BufRead as _, Read as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
-use gdp_core::cert::{Delegation, Enrollment, Issued, Membership, ReadGrant, Signed, TopicsOf, issue};
+use gdp_core::cert::{AdCert, Delegation, Enrollment, Issued, Membership, ReadGrant, Signed, TopicsOf, issue};
 use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 use gdp_core::name::Metadata;
 use gdp_core::{cert::Grantee, secret_file};
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
-use gdp_directory::{JOIN, fingerprint, join_card};
+use gdp_directory::{JOIN, SERVER, fingerprint, join_card};
 use gdp_util::escape::escape_json;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
+use gdp_wire::Name;
 
 use crate::config::Config;
 
@@ -37,6 +38,10 @@ const SOON: Duration = Duration::from_millis(100);
 
 /// Seconds by which a validity begins earlier, because clocks differ.
 const BACKDATED: u64 = 300;
+
+/// Files that end with the membership.
+const MEMBER_FILES: [&str; 7] =
+    ["proxy.yaml", "membership", "domain.card", "directory.grant", "join.grant", "proxy.pem", "application.pem"];
 
 /// Files of a member in its folder.
 pub struct Home {
@@ -160,7 +165,7 @@ impl Home {
         let enrollment = enrolling.enrollment.verify(&domain_key, unix_seconds())?;
         let identity = Identity::load_or_generate(&self.file("proxy.pem"), "proxy")?;
         let membership = self.membership(token, &identity)?;
-        let catalog = Some(self.catalog(&enrollment)?);
+        let catalog = Some(self.catalog(identity.name(), &enrollment)?);
         let request = Join { membership: membership.clone(), enrollment: enrolling.enrollment.clone(), catalog };
 
         let node = connect(token, &identity, membership).await?;
@@ -184,8 +189,9 @@ impl Home {
     }
 
     /// Leaves the domain: removes this machine from the directory and the files of its membership.
-    /// The owner's key stays, because the names of its topics are permanent.
-    pub async fn leave(&self) -> Result<Vec<String>> {
+    /// The owner's key stays, because the names of its topics are permanent. Without `force`, the
+    /// files stay if the domain does not confirm it.
+    pub async fn leave(&self, force: bool) -> Result<Vec<String>> {
         let config = Config::load(&self.config())?;
         let domain = NameCard::load(&self.file("domain.card"))?;
         let identity = Identity::new(SigningKey::load(&self.file("proxy.pem"))?, "proxy");
@@ -200,28 +206,36 @@ impl Home {
                 let card = join_card(*domain.owner_key())?;
                 let reply = ask(&node, &card, Issued::from_pem(&call)?, &JoinRequest::Leave).await;
                 node.close().await;
-                reply.map(|_| ())
+                reply.and_then(|reply| match reply {
+                    JoinReply::Left => Ok(()),
+                    JoinReply::Refused(reason) => Err(anyhow!(reason)),
+                    _ => Err(anyhow!("the join service answers another question")),
+                })
             }
             Err(error) => Err(error.into()),
         };
-        for name in
-            ["proxy.yaml", "membership", "domain.card", "directory.grant", "join.grant", "proxy.pem", "application.pem"]
-        {
-            match fs::remove_file(self.file(name)) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(error).with_context(|| format!("{}: cannot be removed", self.file(name).display()));
+        match (notified, force) {
+            (Err(error), false) => {
+                return Err(error.context(
+                    "the domain does not know that this machine leaves, so its files stay. If the proxy runs, stop it \
+                     first; `--force` leaves without the domain",
+                ));
+            }
+            (notified, _) => {
+                for name in MEMBER_FILES {
+                    match fs::remove_file(self.file(name)) {
+                        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                            return Err(error).with_context(|| format!("{} stays", self.file(name).display()));
+                        }
+                        _ => {}
+                    }
                 }
-                _ => {}
+                Ok(vec![match notified {
+                    Ok(()) => "Left. The domain's directory no longer lists this machine.".into(),
+                    Err(_) => "Left. Have the domain's administrator revoke this machine by its label.".into(),
+                }])
             }
         }
-        Ok(match notified {
-            Ok(()) => vec!["Left. The domain's directory no longer lists this machine.".into()],
-            Err(error) => vec![
-                "Left, and the files are removed. The domain was not notified:".into(),
-                format!("  {error:#}"),
-                "Have its administrator revoke this machine by its label.".into(),
-            ],
-        })
     }
 
     /// Returns the membership, which an earlier attempt may have made.
@@ -239,8 +253,8 @@ impl Home {
     }
 
     /// Makes the key of the owner of this machine's topics, and their catalog.
-    fn catalog(&self, enrollment: &Enrollment) -> Result<OfferedCatalog> {
-        let owner = SigningKey::load_or_generate(&self.file("owner.pem"))?;
+    fn catalog(&self, entity: Name, enrollment: &Enrollment) -> Result<OfferedCatalog> {
+        let owner = Identity::load_or_generate(&self.file("owner.pem"), "owner")?.key().clone();
         let path = self.file("catalog.card");
         let card = match NameCard::load(&path) {
             Ok(card) if *card.owner_key() == owner.verify_key() => card,
@@ -251,7 +265,7 @@ impl Home {
                 card
             }
         };
-        offer(&owner, &card, enrollment)
+        offer(&owner, &card, entity, enrollment)
     }
 
     /// Lets this entity call the join service once, by the invitation's key.
@@ -288,18 +302,13 @@ impl Home {
     }
 }
 
-/// Lets the join service grant the catalog to members, and nothing else.
-pub fn offer(owner: &SigningKey, card: &NameCard, enrollment: &Enrollment) -> Result<OfferedCatalog> {
-    let delegation = Delegation {
-        name: card.name(),
-        delegate: enrollment.join_service,
-        publish: false,
-        read: true,
-        serial: unix_nanos(),
-        not_before: unix_seconds().saturating_sub(BACKDATED),
-        not_after: enrollment.not_after,
-    };
-    Ok(OfferedCatalog { name: card.into(), delegation: issue(owner, &delegation)? })
+/// Lets the join service grant the catalog of `entity` to members, and nothing else.
+fn offer(owner: &SigningKey, card: &NameCard, entity: Name, enrollment: &Enrollment) -> Result<OfferedCatalog> {
+    let (name, delegate, serial) = (card.name(), enrollment.join_service, unix_nanos());
+    let (not_before, not_after) = (unix_seconds().saturating_sub(BACKDATED), enrollment.not_after);
+    let right = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
+    let delegation = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
+    Ok(OfferedCatalog { name: card.into(), right: issue(owner, &right)?, delegation: issue(owner, &delegation)? })
 }
 
 /// Returns the card of a domain. All domains have the same metadata.
@@ -353,9 +362,10 @@ fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let to = quoted(&token.at().to_string());
     let topics: Vec<String> = enrollment.expose.iter().map(|pattern| quoted(pattern)).collect();
     let topics = topics.join(", ");
+    let export = if enrollment.label == SERVER { ", export: true" } else { "" };
     format!(
         "version: 1\nidentity: proxy.pem\nlinks: [{{to: {to}{switch}}}]\nstate: state\n\
-         domain: {{card: domain.card, membership: membership}}\ndirectory: {{grant: directory.grant}}\n\
+         domain: {{card: domain.card, membership: membership}}\ndirectory: {{grant: directory.grant{export}}}\n\
          expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]}}\n"
     )
 }

@@ -12,6 +12,7 @@ use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use gdp_core::cert::TopicsOf;
 use gdp_core::cert::enrollment::MAX_LABEL;
+use gdp_directory::SERVER;
 use gdp_proxy::config::schema;
 use gdp_proxy::join::{Home, InvitationSource, Wishes};
 use gdp_proxy::reload::{Loaded, Watch};
@@ -84,6 +85,9 @@ enum Command {
     },
     /// Leave the trust domain: end the membership of this machine and remove its files
     Leave {
+        /// Leave even if the domain does not answer
+        #[arg(long)]
+        force: bool,
         /// Folder of keys and configuration [default: /etc/gdp for root, else ~/.config/gdp]
         #[arg(long, value_name = "FOLDER")]
         dir: Option<PathBuf>,
@@ -116,7 +120,7 @@ impl Asks {
                 text.split_once(':').with_context(|| format!("--read {text}: write LABEL:PATTERN"))?;
             Ok(TopicsOf { member: member.into(), topics: vec![pattern.into()] })
         };
-        let of_server = TopicsOf { member: "server".into(), topics: self.import.clone() };
+        let of_server = TopicsOf { member: SERVER.into(), topics: self.import.clone() };
         let import = if self.import.is_empty() { vec![] } else { vec![of_server] };
         Ok(Wishes { label, expose: self.expose, import, read: self.read.iter().map(of).collect::<Result<_>>()? })
     }
@@ -166,9 +170,9 @@ fn run(arguments: Arguments) -> Result<()> {
             }
             Arguments { command: None, config: Some(home.config()), stats, ..arguments }
         }
-        Some(Command::Leave { dir }) => {
+        Some(Command::Leave { force, dir }) => {
             let home = Home::new(dir)?;
-            return Ok(terminal::print(once()?.block_on(home.leave())?)?);
+            return Ok(terminal::print(once()?.block_on(home.leave(force))?)?);
         }
         None => arguments,
     };

@@ -10,6 +10,7 @@ use gdp::{LinkConfig, Node, NodeConfig};
 use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
+use gdp_util::line_limit::differ_in_digits_at_most;
 use gdp_util::ticks::Ticks;
 use tokio::sync::watch;
 
@@ -221,7 +222,7 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     let addresses: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let addresses = addresses.join(", ");
     tracing::info!(links = %addresses, "connecting to the switch");
-    let mut reported = None;
+    let mut reported: Option<String> = None;
     loop {
         let mut connecting = std::pin::pin!(Node::connect(node.clone()));
         let connected = tokio::select! {
@@ -240,7 +241,7 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
             Err(error) if error.may_pass() => {
                 // The same error again is no news.
                 let error = error.to_string();
-                if reported.as_ref() != Some(&error) {
+                if !reported.as_ref().is_some_and(|before| differ_in_digits_at_most(before, &error)) {
                     tracing::warn!(links = %addresses, "no switch yet: {error}; trying on");
                 }
                 reported = Some(error);

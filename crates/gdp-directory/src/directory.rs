@@ -15,6 +15,9 @@ pub const MAX_MEMBERS: usize = 1024;
 /// Maximum size of an encoded directory, in bytes.
 pub const MAX_DIRECTORY: usize = 4 << 20;
 
+/// Maximum size of a catalog's metadata, in bytes.
+pub const MAX_METADATA: usize = 1024;
+
 const VERSION: u8 = 1;
 
 /// All members that the join service has enrolled.
@@ -76,6 +79,8 @@ pub enum DirectoryError {
     Version(u8),
     #[error("{0} members where at most {MAX_MEMBERS} are allowed")]
     TooMany(usize),
+    #[error("a directory of {0} bytes where at most {MAX_DIRECTORY} are allowed")]
+    TooLong(usize),
 }
 
 impl Directory {
@@ -84,7 +89,8 @@ impl Directory {
     }
 
     pub fn to_bytes(&self) -> Result<Vec<u8>, DirectoryError> {
-        Ok(cbor::encode(self)?)
+        let bytes = cbor::encode(self)?;
+        if bytes.len() > MAX_DIRECTORY { Err(DirectoryError::TooLong(bytes.len())) } else { Ok(bytes) }
     }
 
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, DirectoryError> {
@@ -115,12 +121,14 @@ impl MemberEntry {
     fn member(&self, domain: Name, reader: Name, now: u64) -> Option<Member> {
         let (entity, enrollment) = self.enrollment.verify_for(domain, &self.membership, now).ok()?;
         let catalog = self.catalog.as_ref().and_then(|catalog| catalog.card().ok());
-        let holds = |grant: &&Issued<ReadGrant>| {
-            let proof = catalog.as_ref().map(NameCard::proof);
-            let is_own = grant.cert.claims_unverified().is_ok_and(|claims| claims.to == super::entity(reader));
-            is_own && proof.is_some_and(|proof| grant.verify(&proof, None, now).is_ok())
+        let is_own = |grant: &&Issued<ReadGrant>| {
+            grant.cert.claims_unverified().is_ok_and(|claims| claims.to == super::entity(reader))
         };
-        let grant = self.grants.iter().find(holds).cloned();
+        let holds = |grant: &&Issued<ReadGrant>| {
+            catalog.as_ref().is_some_and(|catalog| grant.verify(&catalog.proof(), None, now).is_ok())
+        };
+        // One grant for each reader, so that a hostile publisher causes no more work.
+        let grant = self.grants.iter().take(MAX_MEMBERS).find(is_own).filter(holds).cloned();
         Some(Member { entity, enrollment, catalog, grant })
     }
 }

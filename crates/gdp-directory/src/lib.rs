@@ -13,6 +13,9 @@ use gdp_core::name::Metadata;
 use gdp_e2e::seal::Encoding;
 use gdp_wire::Name;
 
+/// Label of the proxy on the domain's server, from which members import.
+pub const SERVER: &str = "server";
+
 /// Encoding number of a message that is a directory.
 pub const DIRECTORY: Encoding = Encoding::Other(0x4744);
 

@@ -2,7 +2,7 @@
 
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
-use gdp_core::cert::{Delegation, Enrollment, Invite, Issued, Membership, ReadGrant, Signed, TopicsOf};
+use gdp_core::cert::{AdCert, Delegation, Enrollment, Invite, Issued, Membership, ReadGrant, Signed, TopicsOf};
 use gdp_core::identity::VerifyKey;
 use serde::{Deserialize, Serialize};
 
@@ -67,6 +67,8 @@ pub struct Join {
 #[serde(deny_unknown_fields)]
 pub struct OfferedCatalog {
     pub name: CatalogName,
+    /// Right of the member to publish the catalog, from the catalog's owner.
+    pub right: Signed<AdCert>,
     /// Delegation to the join service's key. It covers the list of the member's topics, and no
     /// topic.
     pub delegation: Signed<Delegation>,

@@ -3,7 +3,7 @@
 //! Its own key cannot admit or enroll anybody: members verify the domain's signatures. The key can
 //! let members read the directory and the lists of topics that members delegate to it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
@@ -11,16 +11,22 @@ use gdp_core::cert::enrollment::{check_label, check_lists};
 use gdp_core::cert::{
     CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
 };
-use gdp_core::identity::SigningKey;
+use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, Member, MemberEntry};
+use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, MAX_METADATA, Member, MemberEntry};
 use crate::entity;
 use crate::messages::{Application, Decision, Join, JoinReply, JoinRequest, OfferedCatalog};
 
 /// Validity in seconds of the grants for catalogs. They are issued again after half of it.
 const GRANT_LIFETIME: u64 = 24 * 3600;
+
+/// Maximum size of the stored members, in bytes.
+pub const MAX_STORED: usize = 4 * MAX_DIRECTORY;
+
+/// Minimum time in nanoseconds between two changes of a member's entry.
+const CHANGE_INTERVAL: u64 = 2_000_000_000;
 
 /// Maximum number of applications that wait.
 const MAX_APPLICATIONS: usize = 64;
@@ -34,6 +40,10 @@ pub struct JoinService {
     domain: Name,
     delegations: Delegations,
     members: BTreeMap<Name, Enrolled>,
+    /// Serials of members that have left.
+    left: BTreeSet<u64>,
+    /// Times of the members' last changes in Unix nanoseconds.
+    changed: BTreeMap<Name, u64>,
     /// Grants for catalogs, by catalog and reader.
     grants: BTreeMap<(Name, Name), IssuedGrant>,
     /// The newest enrollments that the domain's key signed, by the serial of the member.
@@ -64,6 +74,15 @@ struct Enrolled {
     catalog: Option<OfferedCatalog>,
 }
 
+/// The members, as they are stored.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    members: Vec<(Name, Enrolled)>,
+    /// Serials of members that have left.
+    left: Vec<u64>,
+}
+
 struct IssuedGrant {
     grant: Issued<ReadGrant>,
     /// Time of issue in Unix seconds.
@@ -80,7 +99,7 @@ pub struct MemberRow {
 
 impl JoinService {
     pub fn new(key: SigningKey, domain: Name, delegations: Delegations) -> Self {
-        let (members, grants, newest) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let (members, grants, newest, left, changed) = Default::default();
         Self {
             key,
             domain,
@@ -88,6 +107,8 @@ impl JoinService {
             members,
             grants,
             newest,
+            left,
+            changed,
             revocation: None,
             applications: BTreeMap::new(),
             decisions: BTreeMap::new(),
@@ -96,13 +117,15 @@ impl JoinService {
 
     /// Restores the members from [`Self::to_bytes`].
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), CborError> {
-        self.members = cbor::decode::<Vec<(Name, Enrolled)>>(bytes, MAX_DIRECTORY)?.into_iter().collect();
+        let Stored { members, left } = cbor::decode(bytes, MAX_STORED)?;
+        (self.members, self.left) = (members.into_iter().collect(), left.into_iter().collect());
         Ok(())
     }
 
     /// Returns the members in a form to be stored.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CborError> {
-        cbor::encode(&self.members.iter().collect::<Vec<_>>())
+        let members = self.members.iter().map(|(entity, enrolled)| (*entity, enrolled.clone())).collect();
+        cbor::encode(&Stored { members, left: self.left.iter().copied().collect() })
     }
 
     /// Applies the newest revocation of the domain. Returns true if it removes a member.
@@ -154,7 +177,9 @@ impl JoinService {
             JoinRequest::Join(join) => self.join(caller, *join, now),
             JoinRequest::Apply(application) => self.apply(caller, *application),
             JoinRequest::Leave => {
-                self.members.remove(&caller);
+                if let Some(enrolled) = self.members.remove(&caller) {
+                    self.left.extend(enrolled.enrollment.claims_unverified().ok().map(|claims| claims.member));
+                }
                 return JoinReply::Left;
             }
         };
@@ -193,32 +218,58 @@ impl JoinService {
         if claims.join_service != self.key.verify_key() {
             return Err("the enrollment names another join service; have another invitation made".into());
         }
+        if self.left.contains(&claims.member) {
+            return Err("this member has left; have another invitation made".into());
+        }
         let same = |enrolled: &Enrolled| {
             enrolled.enrollment.claims_unverified().is_ok_and(|other| other.member == claims.member)
         };
         if let Some((other, _)) = self.members.iter().find(|(entity, enrolled)| **entity != caller && same(enrolled)) {
             return Err(format!("the invitation has enrolled {other:#}, and it enrolls one; have another one made"));
         }
-        if self.members.len() >= MAX_MEMBERS && !self.members.contains_key(&caller) {
-            return Err(format!("the directory has {MAX_MEMBERS} members, and no room for another"));
+        if let Some(catalog) = &catalog {
+            check_catalog(catalog, caller, &claims, self.key.verify_key(), now / 1_000_000_000)?;
         }
-        if let Some(OfferedCatalog { name, delegation }) = &catalog {
-            let card = name.card().map_err(|error| error.to_string())?;
-            let delegation = delegation.verify(card.owner_key(), now / 1_000_000_000).map_err(said)?;
-            if delegation.name != card.name() || delegation.delegate != self.key.verify_key() || !delegation.read {
-                return Err("the delegation does not let the join service grant the catalog".into());
-            }
-        }
-        self.members.insert(caller, Enrolled { membership, enrollment, catalog });
+        self.change(caller, Enrolled { membership, enrollment, catalog }, now)?;
         let until = claims.not_after;
         let directory = self.grant(&self.delegations.directory, caller, until, now).map_err(said)?.into();
         let call = self.grant(&self.delegations.join, caller, until, now).map_err(said)?.into();
         Ok(JoinReply::Joined { directory, call })
     }
 
+    /// Replaces the entry of a member, if the directory then still has its bounds.
+    fn change(&mut self, caller: Name, enrolled: Enrolled, now: u64) -> Result<(), String> {
+        let known = self.members.get(&caller);
+        if known == Some(&enrolled) {
+            return Ok(());
+        }
+        let last = self.changed.get(&caller).copied().unwrap_or(0);
+        if known.is_some() && now.saturating_sub(last) < CHANGE_INTERVAL {
+            return Err("its entry changed a moment ago; try again in some seconds".into());
+        }
+        let before = self.members.insert(caller, enrolled);
+        let valid: BTreeSet<Name> = self.members(now / 1_000_000_000).iter().map(|(member, _)| member.entity).collect();
+        self.members.retain(|entity, _| valid.contains(entity));
+        let size = self.directory(now).to_bytes();
+        if self.members.len() <= MAX_MEMBERS && size.is_ok() {
+            self.changed.insert(caller, now);
+            return Ok(());
+        }
+        match before {
+            Some(before) => self.members.insert(caller, before),
+            None => self.members.remove(&caller),
+        };
+        Err(format!("the directory of the domain is full with {} members", self.members.len()))
+    }
+
+    /// Whether the member with this serial has left.
+    pub fn has_left(&self, member: u64) -> bool {
+        self.left.contains(&member)
+    }
+
     /// Makes the directory at `now` (Unix nanoseconds), without expired members. Grants for
     /// catalogs are issued again after half of their validity.
-    pub fn directory(&mut self, now: u64) -> Result<Directory, CertError> {
+    pub fn directory(&mut self, now: u64) -> Directory {
         let members = self.members(now / 1_000_000_000);
         let mut grants = std::mem::take(&mut self.grants);
         let (mut kept, mut entries) = (BTreeMap::new(), Vec::new());
@@ -238,21 +289,21 @@ impl JoinService {
             for reader in members.iter().map(|(reader, _)| reader).filter(is_reader) {
                 let key = (catalog.name(), reader.entity);
                 let known = grants.remove(&key).filter(|grant| !grant.is_old(now));
-                let grant = match known {
-                    Some(grant) => grant,
-                    None => {
-                        let until = now / 1_000_000_000 + GRANT_LIFETIME;
-                        let grant = self.grant(&offered.delegation, reader.entity, until, now)?;
-                        IssuedGrant { grant, issued: now / 1_000_000_000 }
-                    }
+                let until = now / 1_000_000_000 + GRANT_LIFETIME;
+                let issue = || {
+                    // A delegation that has ended grants nothing.
+                    let grant = self.grant(&offered.delegation, reader.entity, until, now).ok()?;
+                    Some(IssuedGrant { grant, issued: now / 1_000_000_000 })
                 };
-                entry.grants.push(grant.grant.clone());
-                kept.insert(key, grant);
+                if let Some(grant) = known.or_else(issue) {
+                    entry.grants.push(grant.grant.clone());
+                    kept.insert(key, grant);
+                }
             }
             entries.push(entry);
         }
         self.grants = kept;
-        Ok(Directory::new(entries))
+        Directory::new(entries)
     }
 
     /// Returns the members whose certificates hold at `now` (Unix seconds).
@@ -289,6 +340,32 @@ impl JoinService {
         let cert = issue(&self.key, &ReadGrant { name, to, serial, not_before, not_after })?;
         Ok(Issued { cert, delegation: Some(delegation.clone()) })
     }
+}
+
+/// Checks that a catalog is the caller's, and that the join service may grant it.
+fn check_catalog(
+    OfferedCatalog { name, right, delegation }: &OfferedCatalog,
+    caller: Name,
+    enrollment: &Enrollment,
+    key: VerifyKey,
+    now: u64,
+) -> Result<(), String> {
+    let card = name.card().map_err(|error| error.to_string())?;
+    let size: usize = name.metadata.iter().map(|(key, value)| key.len() + value.len()).sum();
+    if size > MAX_METADATA {
+        return Err(format!("the catalog has {size} bytes of metadata, where at most {MAX_METADATA} are allowed"));
+    }
+    let said = |error: CertError| error.to_string();
+    let right = right.verify(card.owner_key(), now).map_err(said)?;
+    if (right.name, right.entity) != (card.name(), caller) {
+        return Err("the catalog is of another member".into());
+    }
+    let delegation = delegation.verify(card.owner_key(), now).map_err(said)?;
+    let lasts = delegation.not_after >= enrollment.not_after;
+    if delegation.name != card.name() || delegation.delegate != key || !delegation.read || !lasts {
+        return Err("the delegation does not let the join service grant the catalog for as long as it should".into());
+    }
+    Ok(())
 }
 
 impl IssuedGrant {

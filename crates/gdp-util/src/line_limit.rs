@@ -40,6 +40,13 @@ impl LineLimit {
     }
 }
 
+/// Whether two messages differ in digits at most, such as times. The second one is then no news.
+pub fn differ_in_digits_at_most(one: &str, other: &str) -> bool {
+    let text =
+        |text: &str| text.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty()).collect::<String>();
+    text(one) == text(other)
+}
+
 #[cfg(test)]
 #[path = "../tests/unit/line_limit.rs"]
 mod tests;

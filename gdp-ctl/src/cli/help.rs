@@ -6,7 +6,10 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 3] = [
     (
         "Everyday",
-        &["up", "invite", "robots", "revoke", "apply", "admin", "status", "doctor", "topic", "service", "action"],
+        &[
+            "up", "invite", "robots", "approve", "deny", "revoke", "apply", "admin", "status", "doctor", "topic",
+            "service", "action",
+        ],
     ),
     ("Rights", &["key", "name", "grant", "domain", "cert"]),
     (

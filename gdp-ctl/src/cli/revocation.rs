@@ -144,7 +144,8 @@ pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> a
     Ok(used.max().map_or(0, |used| used + 1).max(floor).max(now))
 }
 
-fn send(card: &NameCard, revocation: Signed<Revocation>, context: &Context) -> anyhow::Result<()> {
+/// Sends a revocation to the RIB. One that it has already is accepted.
+pub fn send(card: &NameCard, revocation: Signed<Revocation>, context: &Context) -> anyhow::Result<()> {
     let request = EntityRequest::Revoke { proof: card.proof(), revocation };
     match context.client()?.ask(&Request::Entity { entity: None, request: request.into() })? {
         Response::Done => Ok(()),

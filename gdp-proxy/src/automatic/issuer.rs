@@ -82,7 +82,11 @@ impl Issuer {
             topic.is_some_and(|topic| reader.topics.iter().any(|pattern| pattern.covers(topic)))
         };
         let members = config.shared.readers.iter().filter(may_read).map(|reader| Grantee::Entity(reader.entity));
-        let readers = config.readers.iter().map(|reader| reader.0.clone()).chain(members).take(MAX_GRANTS);
+        let readers = config.readers.iter().map(|reader| reader.0.clone()).chain(members);
+        if readers.clone().count() > MAX_GRANTS {
+            tracing::warn!(%name, "more than {MAX_GRANTS} may read it, and the others get no grant; give them a role");
+        }
+        let readers = readers.take(MAX_GRANTS);
         let grants = readers.map(|reader| Ok(grant(&reader)?.into()));
         Ok(IssuedCredentials { cert, grants: grants.collect::<Result<_, CertError>>()?, issued })
     }

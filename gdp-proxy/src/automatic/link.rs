@@ -8,7 +8,7 @@ use gdp::{Ended, Node, Overflow, PublishOptions, Publisher, Reliability, Subscri
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_core::domain::CredentialFiles;
-use gdp_ros::catalog::{CATALOG, REFRESH};
+use gdp_ros::catalog::{CATALOG, LEASE, REFRESH};
 use gdp_wire::Name;
 use serde::Serialize;
 use tokio::sync::watch;
@@ -214,6 +214,7 @@ impl CatalogLink {
         right: &mut Right<Reading>,
     ) -> Ended {
         let mut looks = ticks();
+        let begun = Instant::now();
         loop {
             let changed = tokio::select! {
                 message = subscription.recv() => match message {
@@ -232,7 +233,9 @@ impl CatalogLink {
                 },
                 _ = looks.tick() => {
                     self.route_status.renew(right, async |new| subscription.renew(new).await).await;
-                    catalogs.poll(Instant::now())
+                    // A list that an earlier subscription left ends if nobody publishes it now.
+                    let is_left = begun.elapsed() > LEASE && catalogs.all().is_empty() && !listed.borrow().is_empty();
+                    catalogs.poll(Instant::now()) || is_left
                 }
             };
             if changed {

@@ -101,7 +101,10 @@ impl Automatic {
     ) -> Result<Self> {
         let Loaded { config, material } = loaded;
         let graph = config.directory.as_ref().and_then(|directory| directory.graph.as_deref());
-        let shared = directory::shared(members, entity, graph);
+        let mut shared = directory::shared(members, entity, graph);
+        if !config.directory.as_ref().is_some_and(|directory| directory.export) {
+            shared.exposed.exports.clear();
+        }
         let (before_expose, mut before_imports, planner_state) = match before {
             Some(Self { expose, imports, planner_state, .. }) => (expose, imports, planner_state),
             None => (None, vec![], PlannerState::default()),

@@ -158,6 +158,10 @@ pub struct DomainConfig {
 pub struct DirectoryConfig {
     /// The grant to read the directory.
     pub grant: PathBuf,
+    /// Exposes what other members import from this one: `/LABEL/TOPIC`, with the other's label. The
+    /// proxy of a server does.
+    #[serde(default)]
+    pub export: bool,
     /// Name of the graph in which members' topics appear, if there are several.
     #[serde(default)]
     pub graph: Option<String>,

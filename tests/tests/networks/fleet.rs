@@ -38,9 +38,15 @@ fn twenty_robots_join_by_one_file_and_outlive_the_loss_of_their_server() -> Resu
     let row = |label: &str| robots.iter().find(|row| row["label"] == label).cloned().unwrap_or_default();
     ensure!(row("robot1")["state"] == "revoked" && row("robot2")["expose"][0] == "/odom", "{robots:?}");
 
+    // One is revoked while the server is down. What was chosen for the first start holds later.
+    scene.stop()?;
+    scene.ctl(&["revoke", "robot3"])?;
+    scene.start(&["up", "--no-ros"])?;
+    scene.refuses("robot3")?;
+
     // The disk of the server is lost.
     scene.ctl(&["admin", "backup", &scene.path("home.gdp")])?;
-    scene.up.take().context("the server")?.stop(TIMEOUT)?;
+    scene.stop()?;
     std::fs::remove_dir_all(scene.path("home"))?;
     let lost = scene.ctl(&["invite", "robot99", "--expose", "/a"]).unwrap_err().to_string();
     ensure!(lost.contains("gdp-ctl up"), "{lost}");
@@ -48,7 +54,7 @@ fn twenty_robots_join_by_one_file_and_outlive_the_loss_of_their_server() -> Resu
     let again = scene.ctl(&["admin", "restore", &scene.path("home.gdp")]).unwrap_err().to_string();
     ensure!(again.contains("has a domain already"), "{again}");
     scene.up()?;
-    ensure!(scene.joined()? == ROBOTS - 1, "they are members still");
+    ensure!(scene.joined()? == ROBOTS - 2, "they are members still");
     let mut robot =
         Process::spawn("robot2", scene.proxy(&["--config", &scene.path("robot2/proxy.yaml")])?, scene.files.path())?;
     robot.wait_until("the directory", TIMEOUT, |robot| robot.stderr().contains("what=directory").then_some(()))?;
@@ -57,9 +63,7 @@ fn twenty_robots_join_by_one_file_and_outlive_the_loss_of_their_server() -> Resu
         ensure!(log.contains(action), "{action} is not in the log: {log}");
     }
     // A robot that was revoked before the backup stays so.
-    let mut revoked =
-        Process::spawn("robot1", scene.proxy(&["--config", &scene.path("robot1/proxy.yaml")])?, scene.files.path())?;
-    revoked.wait_until("a refusal", TIMEOUT, |revoked| revoked.stderr().contains("revo").then_some(()))
+    scene.refuses("robot1")
 }
 
 /// As of a cloned SD card.
@@ -77,7 +81,6 @@ fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_o
     let is_attached = |proxy: &Process| proxy.stderr().contains("what=directory").then_some(());
     let mut first = start("robot7")?;
     first.wait_until("the directory", TIMEOUT, is_attached)?;
-    let before = first.stderr().lines().count();
     let mut clone = start("clone")?;
     let says = "another program uses the key";
     clone.wait_until("a refusal", TIMEOUT, |clone| clone.stderr().contains(says).then_some(()))?;
@@ -88,7 +91,7 @@ fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_o
     ensure!(count(&clone.stderr()) <= 2, "{}", clone.stderr());
     let switch = scene.up.as_ref().context("the server")?.stderr();
     ensure!(count(&switch) <= 2, "{switch}");
-    ensure!(first.stderr().lines().count() == before, "the first one notices nothing: {}", first.stderr());
+    ensure!(!first.stderr().contains("WARN"), "the first one notices nothing: {}", first.stderr());
 
     // A program that dies without a word has a successor at once.
     first.kill()?;
@@ -177,7 +180,22 @@ impl Scene {
     }
 
     fn up(&mut self) -> Result<()> {
-        let command = self.command(&["up", "--at", "127.0.0.1", "--no-ros"])?;
+        self.start(&["up", "--at", "127.0.0.1", "--no-ros"])
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.up.take().context("the server")?.stop(TIMEOUT).map(drop)
+    }
+
+    /// Waits until the switch tells a robot that it is revoked.
+    fn refuses(&self, label: &str) -> Result<()> {
+        let command = self.proxy(&["--config", &self.path(&format!("{label}/proxy.yaml"))])?;
+        let mut robot = Process::spawn(label, command, self.files.path())?;
+        robot.wait_until("a refusal", TIMEOUT, |robot| robot.stderr().contains("revo").then_some(()))
+    }
+
+    fn start(&mut self, arguments: &[&str]) -> Result<()> {
+        let command = self.command(arguments)?;
         let mut up = Process::spawn("up", command, self.files.path())?;
         up.wait_until("the domain", TIMEOUT, |up| up.stdout().contains("Next").then_some(()))?;
         self.up = Some(up);

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::time::Instant;
 
+use gdp_util::line_limit::differ_in_digits_at_most;
 use gdp_wire::Name;
 
 /// The maximum number of refused peers to remember. Any peer may cause a refusal, so it is small.
@@ -27,7 +28,8 @@ impl Refusals {
             let oldest = self.0.iter().min_by_key(|(_, refused)| refused.at).map(|(peer, _)| *peer);
             oldest.and_then(|oldest| self.0.remove(&oldest));
         }
-        let is_new = self.0.get(&peer).is_none_or(|before| before.reason != reason);
+        let same = |before: &Refused| differ_in_digits_at_most(&before.reason, &reason);
+        let is_new = !self.0.get(&peer).is_some_and(same);
         self.0.insert(peer, Refused { reason, at });
         is_new
     }

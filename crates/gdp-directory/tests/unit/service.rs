@@ -2,7 +2,7 @@
 
 use super::*;
 use gdp_core::card::NameCard;
-use gdp_core::cert::{Invite, TopicsOf};
+use gdp_core::cert::{AdCert, Invite, TopicsOf};
 use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::Identity;
 
@@ -24,6 +24,7 @@ struct Domain {
 struct Machine {
     entity: Name,
     request: Join,
+    owner: SigningKey,
 }
 
 impl Domain {
@@ -92,14 +93,19 @@ impl Domain {
             not_before: NOW - 60,
             not_after: NOW + 1_000_000,
         };
-        let catalog =
-            OfferedCatalog { name: CatalogName::from(&card), delegation: issue(&owner, &delegation).unwrap() };
+        let (name, scope, not_before, not_after) = (card.name(), vec![], NOW - 60, NOW + 1_000_000);
+        let right = AdCert { name, entity, scope, serial: NANOS, not_before, not_after };
+        let catalog = OfferedCatalog {
+            name: CatalogName::from(&card),
+            right: issue(&owner, &right).unwrap(),
+            delegation: issue(&owner, &delegation).unwrap(),
+        };
         let request = Join {
             membership: token.admit(entity, NOW - 60, NANOS + 1000).unwrap(),
             enrollment: token.enrolling().unwrap().enrollment.clone(),
             catalog: Some(catalog),
         };
-        Machine { entity, request }
+        Machine { entity, request, owner }
     }
 
     fn join(&mut self, machine: &Machine) -> JoinReply {
@@ -107,7 +113,7 @@ impl Domain {
     }
 
     fn members(&mut self, reader: Name) -> Vec<Member> {
-        let bytes = self.service.directory(NANOS).unwrap().to_bytes().unwrap();
+        let bytes = self.service.directory(NANOS).to_bytes().unwrap();
         Directory::from_bytes(&bytes).unwrap().members(self.identity.name(), reader, NOW)
     }
 }
@@ -163,7 +169,7 @@ fn an_invitation_enrolls_one_and_only_its_holder() {
     assert!(matches!(home.join(&first), JoinReply::Joined { .. }), "again, after an attempt that broke off");
     refused(home.join(&second), "it enrolls one");
 
-    let thief = Machine { entity: second.entity, request: first.request.clone() };
+    let thief = Machine { entity: second.entity, request: first.request.clone(), owner: second.owner };
     refused(home.join(&thief), "shows it");
     let other = home.invite("robot8", vec![], all());
     let mut swapped = home.machine(&other);
@@ -191,6 +197,7 @@ fn who_is_revoked_or_leaves_is_not_listed() {
     assert_eq!(home.service.answer(machines[1].entity, JoinRequest::Leave, NANOS), JoinReply::Left);
     let labels: Vec<_> = home.service.rows(NOW).into_iter().map(|row| row.enrollment.label).collect();
     assert_eq!(labels, ["three"]);
+    refused(home.join(&machines[1]), "has left");
     assert!(home.service.rows(NOW + 2_000_000).is_empty(), "all have expired");
 }
 
@@ -201,7 +208,33 @@ fn a_catalog_that_is_not_delegated_is_refused() {
     let mut machine = home.machine(&token);
     let other = home.machine(&token);
     machine.request.catalog.as_mut().unwrap().delegation = other.request.catalog.unwrap().delegation;
-    assert!(matches!(home.join(&machine), JoinReply::Refused(_)));
+    refused(home.join(&machine), "");
+
+    // One that ends soon would leave the directory without its grants.
+    let mut machine = home.machine(&token);
+    let catalog = machine.request.catalog.as_mut().unwrap();
+    let short = Delegation { not_after: NOW + 1, ..catalog.delegation.claims_unverified().unwrap() };
+    catalog.delegation = issue(&machine.owner, &short).unwrap();
+    refused(home.join(&machine), "for as long as it should");
+
+    // The catalog of another member, as the directory shows it.
+    let (victim, thief) = (home.invite("victim", vec![], vec![]), home.invite("thief", vec![], vec![]));
+    let (victim, mut thief) = (home.machine(&victim), home.machine(&thief));
+    assert!(matches!(home.join(&victim), JoinReply::Joined { .. }));
+    thief.request.catalog = victim.request.catalog.clone();
+    refused(home.join(&thief), "of another member");
+}
+
+#[test]
+fn a_member_changes_its_entry_now_and_then_only() {
+    let mut home = Domain::new();
+    let token = home.invite("robot7", vec![], vec![]);
+    let mut machine = home.machine(&token);
+    assert!(matches!(home.join(&machine), JoinReply::Joined { .. }));
+    machine.request.catalog = None;
+    refused(home.join(&machine), "some seconds");
+    let later = home.service.answer(machine.entity, JoinRequest::Join(machine.request.into()), NANOS + CHANGE_INTERVAL);
+    assert!(matches!(later, JoinReply::Joined { .. }));
 }
 
 #[test]
@@ -212,9 +245,9 @@ fn members_and_grants_outlive_a_restart() {
         let machine = home.machine(&token);
         home.join(&machine);
     }
-    let published = home.service.directory(NANOS).unwrap();
-    assert_eq!(home.service.directory(NANOS + 1).unwrap(), published, "nothing is issued again at once");
-    let later = home.service.directory(NANOS + (GRANT_LIFETIME / 2) * 1_000_000_000).unwrap();
+    let published = home.service.directory(NANOS);
+    assert_eq!(home.service.directory(NANOS + 1), published, "nothing is issued again at once");
+    let later = home.service.directory(NANOS + (GRANT_LIFETIME / 2) * 1_000_000_000);
     assert_ne!(later, published, "grants are issued again after half of their validity");
     let mut again = JoinService::new(home.key.clone(), home.identity.name(), home.service.delegations.clone());
     again.restore(&home.service.to_bytes().unwrap()).unwrap();

@@ -10,6 +10,7 @@ use anyhow::{Context as _, bail};
 use clap::Subcommand;
 use gdp_core::cbor;
 use gdp_core::secret_file;
+use gdp_util::terminal::note;
 use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -101,6 +102,9 @@ fn backup(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     gather(home.folder(), home.folder(), &mut files)?;
     let count = files.len();
     let bytes = cbor::encode(&Backup { version: VERSION, files })?;
+    if bytes.len() > MAX_BACKUP {
+        bail!("{} has {} bytes, and a backup at most {MAX_BACKUP}", home.folder().display(), bytes.len());
+    }
     secret_file::replace(file, &bytes)?;
     print_backup(file, home, count, "saved in", context)
 }
@@ -119,13 +123,16 @@ fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     if let Some(path) = backup.files.keys().find(|path| !is_inside(path)) {
         bail!("{}: the backup has a file outside of its folder: {path}", file.display());
     }
-    for (path, Content(content)) in &backup.files {
+    // The key comes last: without it, an interrupted restoration can be repeated.
+    let (key, others): (Vec<_>, Vec<_>) = backup.files.iter().partition(|(path, _)| *path == "domain.pem");
+    for (path, Content(content)) in others.into_iter().chain(key) {
         let path = home.path(path);
         let folder = path.parent().unwrap_or(home.folder());
         fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         secret_file::replace(&path, content)?;
     }
     home.record("restore", "", &[])?;
+    note("gdp-ctl: what was revoked after the backup is a member again: revoke it once more");
     print_backup(file, home, backup.files.len(), "restored from", context)
 }
 

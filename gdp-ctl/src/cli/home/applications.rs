@@ -18,7 +18,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::invite::{Terms, check_pattern};
+use super::invite::{Terms, check_free, check_pattern};
 use super::{HOUR, Home, HomeOptions};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
@@ -93,6 +93,7 @@ pub fn approve(options: &ApproveOptions, context: &Context) -> anyhow::Result<()
     let expose = if options.only.is_empty() { expose } else { options.only.clone() };
     let (role, duration, within) = ("robot".to_owned(), options.duration.into(), 24 * HOUR);
     let terms = Terms { label: label.clone(), role, expose, import, read, duration, within };
+    check_free(&label)?;
     let (invite, enrolling, _) = home.sign_invitation(terms, key)?;
     let approval = Approval { invite, enrollment: enrolling.enrollment, call: enrolling.call };
     home.decide(entity, Decision::Approved(Box::new(approval)))?;

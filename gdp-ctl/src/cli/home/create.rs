@@ -1,6 +1,7 @@
-//! Makes what a domain with one server needs. What exists stays, so it may run again.
+//! Makes what a domain with one server needs. Keys and choices that exist stay, so it may run
+//! again. Certificates are issued anew after half of their validity.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -20,12 +21,16 @@ use crate::cli::issuing::validity;
 /// Validity in seconds of what the domain issues to its own server.
 const LIFETIME: u64 = 365 * DAY;
 
+/// Where the switch of a new domain takes links.
+const DEFAULT_UDP: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::UNSPECIFIED), 31415);
+
 /// The choices of `gdp-ctl up`.
 pub struct DomainOptions<'a> {
-    /// Host, or host and port, that members dial.
-    pub at: &'a str,
-    pub udp: SocketAddr,
-    pub xdp: bool,
+    /// Host, or host and port, that members dial. `None` keeps what was chosen before.
+    pub at: Option<&'a str>,
+    pub udp: Option<SocketAddr>,
+    /// Whether XDP is turned off. It stays off.
+    pub no_xdp: bool,
     pub socket: Option<&'a Path>,
 }
 
@@ -50,12 +55,22 @@ impl Home {
         self.admit(&join, "join", "join")?;
         self.certify_join_service(&join)?;
         let domain = self.card()?.name();
-        let at =
-            if wanted.at.contains(':') { wanted.at.to_owned() } else { format!("{}:{}", wanted.at, wanted.udp.port()) };
-        let address = DomainAddress { at: format!("udp://{at}"), switch: switch.name(), port: wanted.udp.port() };
+        let before = self.address().ok();
+        let udp = wanted.udp.or(before.as_ref().map(|before| before.udp)).unwrap_or(DEFAULT_UDP);
+        let xdp = !wanted.no_xdp && before.as_ref().is_none_or(|before| before.xdp);
+        let at = match (wanted.at, &before) {
+            (Some(at), _) => dialled(at, udp.port()),
+            (None, Some(before)) => before.at.clone(),
+            (None, None) => dialled(&own_address()?, udp.port()),
+        };
+        let address = DomainAddress { at, switch: switch.name(), udp, xdp };
         address.target()?;
+        let is_same = before.as_ref() == Some(&address) && wanted.socket.is_none();
         self.replace("address", &serde_json::to_string(&address)?)?;
-        self.replace("gdp.yaml", &wanted.configuration()?)?;
+        // An administrator may have edited it.
+        if !(is_same && self.path("gdp.yaml").exists()) {
+            self.replace("gdp.yaml", &configuration(&address, wanted.socket)?)?;
+        }
         Ok(Made { domain, switch: switch.name(), is_new })
     }
 
@@ -117,21 +132,38 @@ fn is_fresh(until: u64) -> bool {
     until.saturating_sub(LIFETIME / 2) > unix_seconds()
 }
 
-impl DomainOptions<'_> {
-    fn configuration(&self) -> anyhow::Result<String> {
-        let quoted = |text: String| escape_json(&serde_json::json!(text).to_string()).into_owned();
-        let mut text = format!(
-            "identity: switch.pem\nudp: {}\nrib: true\n\
-             domain: {{card: domain.card, membership: switch.member, members_only: true}}\n",
-            quoted(self.udp.to_string())
-        );
-        if let Some(socket) = self.socket {
-            let socket = std::path::absolute(socket).with_context(|| socket.display().to_string())?;
-            text += &format!("socket: {}\n", quoted(socket.display().to_string()));
-        }
-        if !self.xdp {
-            text += "data_plane: userspace\n";
-        }
-        Ok(text)
+/// Returns the link that members dial, from a host with or without a port.
+fn dialled(at: &str, port: u16) -> String {
+    match at.parse::<IpAddr>() {
+        Ok(ip) => format!("udp://{}", SocketAddr::new(ip, port)),
+        Err(_) if at.contains(':') => format!("udp://{at}"),
+        Err(_) => format!("udp://{at}:{port}"),
     }
+}
+
+/// Returns the address of the interface with the default route. No packet is sent.
+fn own_address() -> anyhow::Result<String> {
+    let address = || -> std::io::Result<IpAddr> {
+        let socket = UdpSocket::bind("0.0.0.0:0")?;
+        socket.connect("192.0.2.1:9")?;
+        Ok(socket.local_addr()?.ip())
+    };
+    Ok(address().context("this machine has no default route; say what members dial with --at HOST")?.to_string())
+}
+
+fn configuration(address: &DomainAddress, socket: Option<&Path>) -> anyhow::Result<String> {
+    let quoted = |text: String| escape_json(&serde_json::json!(text).to_string()).into_owned();
+    let mut text = format!(
+        "identity: switch.pem\nudp: {}\nrib: true\n\
+         domain: {{card: domain.card, membership: switch.member, members_only: true}}\n",
+        quoted(address.udp.to_string())
+    );
+    if let Some(socket) = socket {
+        let socket = std::path::absolute(socket).with_context(|| socket.display().to_string())?;
+        text += &format!("socket: {}\n", quoted(socket.display().to_string()));
+    }
+    if !address.xdp {
+        text += "data_plane: userspace\n";
+    }
+    Ok(text)
 }

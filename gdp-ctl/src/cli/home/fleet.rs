@@ -15,10 +15,11 @@ use gdp_util::terminal::note;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::invite::{Terms, check_pattern, imported, topics_of};
-use super::{DAY, HOUR, Home, HomeOptions, SERVER};
+use super::invite::{Terms, check_free, check_pattern, imported, topics_of};
+use super::{DAY, HOUR, Home, HomeOptions};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
+use gdp_directory::SERVER;
 
 /// Maximum size of a file, in bytes.
 const MAX_FILE: u64 = 1 << 20;
@@ -94,33 +95,31 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     if changes.is_empty() {
         note("gdp-ctl: no difference");
     }
-    let mut revoked = Vec::new();
+    let gone = changes.iter().filter(|(_, change)| matches!(change, Difference::Revoke));
+    let gone: Vec<String> = gone.map(|(label, _)| label.clone()).collect();
+    // First, because another change may fail.
+    if options.yes && !gone.is_empty() {
+        super::revoke::revoke(&home, &gone, context)?;
+    }
     for (label, change) in changes {
         let kind = change.as_str();
         let line = match change {
-            _ if !options.yes => None,
-            Difference::Invite(terms) => {
+            Difference::Invite(terms) if options.yes => {
                 let address = home.address()?;
                 let (token, _) = home.invite(terms, address.target()?, &address)?;
                 Some(token.to_line().to_string())
             }
-            Difference::Enroll(enrollment) => {
+            Difference::Enroll(enrollment) if options.yes => {
                 home.reenroll(enrollment)?;
                 None
             }
-            Difference::Revoke => {
-                revoked.push(label.clone());
-                None
-            }
+            _ => None,
         };
         let output = ApplyOutput { label, change: kind, done: options.yes, line };
         context.output.print(&output, || {
             let line = output.line.as_ref().map_or(String::new(), |line| format!(" {line}"));
             [format!("{kind} {}{line}", output.label)]
         })?;
-    }
-    if !revoked.is_empty() {
-        super::revoke::revoke(&home, &revoked, context)?;
     }
     if !options.yes {
         note("gdp-ctl: nothing is done; add --yes to make this so");
@@ -170,6 +169,7 @@ fn changes(home: &Home, fleet: Fleet) -> anyhow::Result<Vec<(String, Difference)
 
 fn terms(label: &str, wanted: MemberTerms) -> anyhow::Result<Terms> {
     let MemberTerms { expose, import, read, duration, role } = wanted;
+    check_free(label)?;
     expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
     let duration = duration.map_or(Ok(365 * DAY), |text| parse_seconds(&text).map(u64::from));
     Ok(Terms {

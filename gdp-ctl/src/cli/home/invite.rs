@@ -11,14 +11,14 @@ use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_directory::join_card;
 use gdp_util::terminal::note;
-use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{APPLICANTS, Home, HomeOptions, SERVER};
+use super::{APPLICANTS, Home, HomeOptions};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::issuing::{parse_seconds, validity};
+use gdp_directory::SERVER;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -113,9 +113,7 @@ impl Options {
         if is_empty {
             bail!("nothing would cross: say what {label} exposes, imports or reads, such as --expose '/camera/**'");
         }
-        if [SERVER, APPLICANTS].contains(&label.as_str()) {
-            bail!("{label} is a label that the domain uses itself; choose another label");
-        }
+        check_free(label)?;
         expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
         Ok(Terms {
             label: label.clone(),
@@ -152,12 +150,9 @@ impl Home {
         let Terms { label, role, expose, import, read, duration, within } = terms;
         check_label(&label)?;
         let authority = self.authority()?;
-        let now = unix_seconds();
-        let holds = |issue: &&Issue| {
-            let is_used_or_open = issue.ends > now && !issue.is_revoked(authority.revocation.as_ref());
-            issue.label.as_ref() == Some(&label) && is_used_or_open
-        };
-        if authority.issued.iter().any(|issue| holds(&issue)) {
+        let open = self.open_serials(&authority)?;
+        let holds = |issue: &Issue| issue.label.as_ref() == Some(&label) && open.contains(&issue.serial);
+        if authority.issued.iter().any(holds) {
             bail!(
                 "{label} is a member or invited already; choose another label, or first run `gdp-ctl revoke {label}`"
             );
@@ -191,6 +186,15 @@ impl Home {
         authority.remember(Issue { serial, to, label, not_before, not_after, ends: member_until, file: None })?;
         Ok((invite, enrolling, claims))
     }
+}
+
+/// Checks that a text is a label that a member may have.
+pub(super) fn check_free(label: &str) -> anyhow::Result<()> {
+    check_label(label)?;
+    if [SERVER, APPLICANTS].contains(&label) {
+        bail!("{label} is a label that the domain uses itself; choose another label");
+    }
+    Ok(())
 }
 
 /// Returns the topics that a member imports from the server.

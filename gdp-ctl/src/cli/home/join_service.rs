@@ -8,20 +8,18 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publisher, Reliability};
 use gdp_core::cbor;
-use gdp_core::cert::{AdCert, Membership, Revocation};
+use gdp_core::cert::{AdCert, Membership};
 use gdp_core::domain::Credentials;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::secret_file;
-use gdp_directory::directory::MAX_DIRECTORY;
 use gdp_directory::messages::{JoinReply, JoinRequest};
-use gdp_directory::service::{Delegations, JoinService};
+use gdp_directory::service::JoinService;
 use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_nanos;
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::{Home, HomeOptions, applications, enrollments};
-use crate::cli::issuance_log::newest_revocation;
+use super::{Home, HomeOptions, applications, enrollments, members};
 
 /// How often the directory is made again, because certificates expire and are renewed.
 const AGAIN: Duration = Duration::from_secs(600);
@@ -62,58 +60,19 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     })
 }
 
-/// Returns the join service with the members that have joined.
-pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
-    let domain = home.card()?;
-    let delegations =
-        Delegations { directory: home.signed("directory.delegation")?, join: home.signed("join.delegation")? };
-    let mut service = JoinService::new(SigningKey::load(&home.path("join.pem"))?, domain.name(), delegations);
-    let members = home.path("directory.members");
-    match secret_file::read(&members, MAX_DIRECTORY) {
-        Ok(bytes) => service.restore(&bytes).with_context(|| members.display().to_string())?,
-        Err(error) if error.is_not_found() => {}
-        Err(error) => return Err(error.into()),
-    }
-    let applications = home.path(applications::APPLICATIONS);
-    match secret_file::read(&applications, MAX_DIRECTORY) {
-        Ok(bytes) => service.restore_applications(&bytes).with_context(|| applications.display().to_string())?,
-        Err(error) if error.is_not_found() => {}
-        Err(error) => return Err(error.into()),
-    }
-    update(home, &mut service)?;
-    Ok(service)
-}
-
-/// Applies what the domain's key has signed since: revocations and enrollments. Returns true if the
-/// directory changes.
-fn update(home: &Home, service: &mut JoinService) -> anyhow::Result<bool> {
-    let revoked = revocation(home)?.is_some_and(|revocation| service.revoke(revocation));
-    let mut enrolled = false;
-    for enrollment in home.signed_enrollments()? {
-        enrolled |= service.enroll(enrollment);
-    }
-    let decided = service.decide(home.decisions()?);
-    Ok(revoked || enrolled || decided)
-}
-
-/// Returns the newest revocation of the domain, which lies beside its card.
-fn revocation(home: &Home) -> anyhow::Result<Option<Revocation>> {
-    Ok(newest_revocation(&home.card()?, &home.revocation_path())?.map(|(_, claims)| claims))
-}
-
 async fn serve(home: Home) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
     let signed = [home.revocation_path(), home.path(enrollments::FILE), home.path(applications::DECISIONS)];
     // Created before the file is read, so that no change is missed.
     let mut changed = FileSet::new(&watcher, signed.iter().map(PathBuf::as_path));
-    let service = stored(&home)?;
+    let service = members::stored(&home)?;
     let domain = *home.card()?.owner_key();
     let node = connect(&home).await?;
     let cert = |name: &str| anyhow::Ok(home.signed::<AdCert>(name)?.into());
     let publisher = node.publish(directory_card(domain)?.proof(), cert("directory.cert")?, options()).await?;
     let mut server = node.serve(join_card(domain)?.proof(), cert("join.cert")?).await?;
     let mut running = JoinServer { home, service, publisher, published: Vec::new() };
-    running.publish()?;
+    running.publish();
     tracing::info!("the join service is ready");
     let mut again = tokio::time::interval(AGAIN);
     loop {
@@ -123,12 +82,12 @@ async fn serve(home: Home) -> anyhow::Result<()> {
                 None => bail!("the right to serve has ended: {}; run `gdp-ctl up` again", server.ended().await),
             },
             () = changed.changed() => {
-                if update(&running.home, &mut running.service)? {
+                if members::update(&running.home, &mut running.service)? {
                     running.store()?;
-                    running.publish()?;
+                    running.publish();
                 }
             }
-            _ = again.tick() => running.publish()?,
+            _ = again.tick() => running.publish(),
         }
     }
 }
@@ -138,23 +97,30 @@ impl JoinServer {
     async fn answer(&mut self, call: Call) -> anyhow::Result<()> {
         let caller = call.client();
         let before = self.service.applications().clone();
-        let reply = match JoinRequest::from_bytes(call.body()) {
+        let mut reply = match JoinRequest::from_bytes(call.body()) {
             Ok(request) => self.service.answer(caller, request, unix_nanos()),
             Err(error) => JoinReply::Refused(format!("the request cannot be read: {error}")),
         };
-        match &reply {
-            JoinReply::Approved(_) => {}
-            JoinReply::Pending if self.service.applications() == &before => {}
-            JoinReply::Pending => {
-                tracing::info!(%caller, "asks to join; see `gdp-ctl robots`");
-                self.store()?;
+        let is_change = match &reply {
+            JoinReply::Pending => *self.service.applications() != before,
+            JoinReply::Joined { .. } | JoinReply::Left => true,
+            JoinReply::Approved(_) | JoinReply::Refused(_) => false,
+        };
+        if let JoinReply::Refused(reason) = &reply {
+            tracing::warn!(%caller, "refused to join: {reason}");
+        }
+        if is_change {
+            let what = match &reply {
+                JoinReply::Pending => "asks to join; see `gdp-ctl robots`",
+                JoinReply::Left => "left",
+                _ => "joined",
+            };
+            tracing::info!(%caller, "{what}");
+            if let Err(error) = self.store() {
+                tracing::error!(%caller, "cannot be stored: {error:#}");
+                reply = JoinReply::Refused("the join service cannot store it; its log says why".into());
             }
-            JoinReply::Refused(reason) => tracing::warn!(%caller, "refused to join: {reason}"),
-            JoinReply::Joined { .. } | JoinReply::Left => {
-                tracing::info!(%caller, "{}", if reply == JoinReply::Left { "left" } else { "joined" });
-                self.store()?;
-                self.publish()?;
-            }
+            self.publish();
         }
         if let Err(error) = call.reply(JOIN, &reply.to_bytes()?).await {
             tracing::warn!(%caller, "the caller is gone: {error}");
@@ -168,13 +134,15 @@ impl JoinServer {
         Ok(secret_file::replace(&self.home.path("directory.members"), &self.service.to_bytes()?)?)
     }
 
-    fn publish(&mut self) -> anyhow::Result<()> {
-        let directory = self.service.directory(unix_nanos())?.to_bytes()?;
-        if directory != self.published {
-            self.publisher.pin(DIRECTORY, &directory);
-            self.published = directory;
+    fn publish(&mut self) {
+        match self.service.directory(unix_nanos()).to_bytes() {
+            Ok(directory) if directory != self.published => {
+                self.publisher.pin(DIRECTORY, &directory);
+                self.published = directory;
+            }
+            Ok(_) => {}
+            Err(error) => tracing::error!("the directory stays as it was: {error}"),
         }
-        Ok(())
     }
 }
 
@@ -183,7 +151,7 @@ async fn connect(home: &Home) -> anyhow::Result<Node> {
     let identity = Identity::new(SigningKey::load(&home.path("join.pem"))?, "tool");
     let membership = std::fs::read_to_string(home.path("join.member")).context("join.member")?;
     let credentials = Some(Credentials { membership: Membership::from_pem(&membership)?, peers: Vec::new() });
-    let target: gdp_core::link_target::LinkTarget = format!("udp://127.0.0.1:{}", address.port).parse()?;
+    let target = address.local();
     let links = vec![LinkConfig { target: target.clone(), switch: Some(address.switch), budget: None }];
     let config = NodeConfig { links, credentials, ..NodeConfig::new(identity, target) };
     loop {

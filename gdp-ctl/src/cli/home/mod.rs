@@ -20,10 +20,12 @@ mod enrollments;
 mod fleet;
 mod invite;
 mod join_service;
+mod members;
 mod revoke;
 mod robots;
 mod up;
 
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -48,9 +50,6 @@ pub use {join_service::Options as JoinServiceOptions, join_service::run as join_
 pub use {revoke::Options as RevokeOptions, revoke::run as revoke};
 pub use {robots::Options as RobotsOptions, robots::run as robots};
 pub use {up::Options as UpOptions, up::run as up};
-
-/// Label of this machine's own proxy, from which members import.
-const SERVER: &str = "server";
 
 /// Label of the invitation with which machines ask to join.
 const APPLICANTS: &str = "applicants";
@@ -83,8 +82,10 @@ struct Home(PathBuf);
 struct DomainAddress {
     at: String,
     switch: Name,
-    /// The port of the switch on this machine.
-    port: u16,
+    /// Address and port of the switch on this machine.
+    udp: SocketAddr,
+    /// Whether the switch may attach XDP programs.
+    xdp: bool,
 }
 
 impl Home {
@@ -131,6 +132,13 @@ impl Home {
 }
 
 impl DomainAddress {
+    /// Returns where programs on this machine reach the switch.
+    fn local(&self) -> LinkTarget {
+        let ip = if self.udp.ip().is_unspecified() { IpAddr::V4(Ipv4Addr::LOCALHOST) } else { self.udp.ip() };
+        let (host, port) = (ip.to_string(), self.udp.port());
+        LinkTarget::Udp { host, port, interface: None }
+    }
+
     fn target(&self) -> anyhow::Result<LinkTarget> {
         self.at.parse().with_context(|| format!("address: {} is no address", self.at))
     }

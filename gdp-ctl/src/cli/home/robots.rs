@@ -14,7 +14,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{HomeOptions, join_service};
+use super::{HomeOptions, members};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::{output, query};
@@ -36,7 +36,7 @@ pub struct RobotsOutput {
 struct MemberOutput {
     label: String,
     /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `pending`,
-    /// `expired` or `revoked`.
+    /// `left`, `expired` or `revoked`.
     state: &'static str,
     /// None if it has not joined.
     entity: Option<Name>,
@@ -54,8 +54,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let authority = home.authority()?;
     let now = unix_seconds();
+    let service = members::stored(&home)?;
     let joined: BTreeMap<u64, MemberRow> =
-        join_service::stored(&home)?.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
+        service.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
     let of = |rules: &[TopicsOf]| -> Vec<String> {
         rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect()
@@ -66,6 +67,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let row = joined.get(&issue.serial);
         let state = match (row, &online) {
             _ if issue.is_revoked(authority.revocation.as_ref()) => "revoked",
+            _ if service.has_left(issue.serial) => "left",
             (Some(row), Some(online)) if online.contains(&row.entity) => "online",
             (Some(_), Some(_)) => "offline",
             (Some(_), None) => "joined",

@@ -1,8 +1,7 @@
 //! `gdp-ctl up`: a domain, a switch with its RIB, the join service and this machine's own proxy. It
 //! asks nothing, makes what is missing, says what it made, and runs everything until ^C.
 
-use std::io::Write as _;
-use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
@@ -11,6 +10,8 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::TopicsOf;
 use gdp_core::cert::enrollment::ALL_MEMBERS;
+use gdp_core::domain::Token;
+use gdp_core::secret_file;
 use gdp_util::terminal::{self, note};
 use gdp_util::unix_time::unix_seconds;
 use tokio::process::{Child, Command};
@@ -18,25 +19,35 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use super::create::{DomainOptions, Made};
 use super::invite::Terms;
-use super::{DAY, Home, HomeOptions, SERVER, join_service};
+use super::{DAY, HOUR, Home, HomeOptions, members, revoke};
 use crate::cli::context::Context;
+use crate::cli::issuance_log::newest_revocation;
+use crate::cli::revocation;
+use gdp_directory::SERVER;
 
 /// Time within which the switch answers on its socket.
 const START: Duration = Duration::from_secs(60);
+
+/// Pause before a program that ended is started again.
+const RESTART: Duration = Duration::from_secs(1);
+
+const SWITCH: &str = "switch";
+const JOIN_SERVICE: &str = "join service";
+const PROXY: &str = "proxy";
 
 /// Time for programs to end after a signal.
 const END: Duration = Duration::from_secs(10);
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Host name or address, with a port if it differs, that members dial. Default: the address of
-    /// this machine's default route.
+    /// Host name or address, with a port if it differs, that members dial. Default: as before, else
+    /// the address of this machine's default route.
     #[arg(long, value_name = "HOST")]
     at: Option<String>,
-    /// Address and port for links over UDP.
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "0.0.0.0:31415")]
-    udp: SocketAddr,
-    /// Attach no XDP program; forward in userspace.
+    /// Address and port for links over UDP. Default: as before, else 0.0.0.0:31415.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    udp: Option<SocketAddr>,
+    /// Attach no XDP program, now and later; forward in userspace.
     #[arg(long)]
     no_xdp: bool,
     /// Start no proxy here, so that members' topics are not in this machine's ROS graph.
@@ -48,9 +59,9 @@ pub struct Options {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
-    let at = options.at.clone().map_or_else(own_address, Ok)?;
     let socket = context.socket.as_deref();
-    let made = home.create(&DomainOptions { at: &at, udp: options.udp, xdp: !options.no_xdp, socket })?;
+    let made =
+        home.create(&DomainOptions { at: options.at.as_deref(), udp: options.udp, no_xdp: options.no_xdp, socket })?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -66,63 +77,79 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-/// The programs that run.
+/// The programs that run, by their labels.
 #[derive(Default)]
 struct Programs(Vec<(&'static str, Child)>);
 
+/// The folder of the domain, and this program.
+struct Launcher<'a> {
+    home: &'a Home,
+    own: PathBuf,
+    socket: Option<&'a Path>,
+}
+
 impl Programs {
-    /// Starts everything, and waits until a program ends, which is an error.
+    /// Starts everything, and runs it until the switch ends, which is an error. Other programs that
+    /// end are started again.
     async fn run(&mut self, home: &Home, options: &Options, made: &Made, context: &Context) -> anyhow::Result<()> {
+        if context.client().is_ok() {
+            bail!("a daemon answers on the admin socket already: stop it, or choose another socket with --socket");
+        }
         let own = std::env::current_exe().context("where this program is")?;
-        let socket = context.socket.iter().flat_map(|socket| [Path::new("--socket"), socket]);
-        self.start("switch", Command::new(&own).args(socket).args(["serve", "--config"]).arg(home.path("gdp.yaml")))?;
+        let site = Launcher { home, own, socket: context.socket.as_deref() };
+        self.start(SWITCH, site.switch())?;
         tokio::select! {
-            error = self.ended() => return Err(error),
+            (label, status) = self.ended() => bail!("the {label} ended: {status}"),
             () = answers(context) => {}
             () = tokio::time::sleep(START) => bail!("the switch did not answer for {} s", START.as_secs()),
         }
-        self.start("join service", Command::new(&own).arg("join-service").arg("--dir").arg(home.folder()))?;
-        let proxy = if options.no_ros { None } else { self.start_proxy(home, &own).await? };
-        tell(home, options, made, proxy.as_deref())?;
-        Err(self.ended().await)
+        home.publish_revocation(context)?;
+        self.start(JOIN_SERVICE, site.join_service())?;
+        let has_proxy = !options.no_ros && site.has_proxy();
+        if has_proxy {
+            self.start_proxy(&site, context)?;
+        }
+        tell(home, made, has_proxy)?;
+        loop {
+            let (label, status) = self.ended().await;
+            if label == SWITCH {
+                bail!("the {label} ended: {status}");
+            }
+            note(format_args!("gdp-ctl: the {label} ended: {status}; starting it again"));
+            tokio::time::sleep(RESTART).await;
+            match label {
+                JOIN_SERVICE => self.start(label, site.join_service())?,
+                _ => self.start_proxy(&site, context)?,
+            }
+        }
     }
 
-    /// Starts this machine's own proxy, which joins first if it is new.
-    async fn start_proxy(&mut self, home: &Home, own: &Path) -> anyhow::Result<Option<PathBuf>> {
-        let proxy = own.with_file_name("gdp-proxy");
-        if !proxy.exists() {
-            note(format_args!("gdp-ctl: no gdp-proxy beside {}: members' topics are not in ROS here", own.display()));
-            return Ok(None);
-        }
-        let folder = home.path(SERVER);
-        let config = folder.join("proxy.yaml");
+    /// Starts this machine's own proxy, which joins first if it has not yet.
+    fn start_proxy(&mut self, site: &Launcher, context: &Context) -> anyhow::Result<()> {
+        let config = site.home.server_config();
         if config.exists() {
-            self.start("proxy", Command::new(&proxy).arg("--config").arg(&config))?;
-            return Ok(Some(config));
+            let mut command = site.proxy();
+            command.arg("--config").arg(&config);
+            return self.start(PROXY, command);
         }
-        let line = home.server_line()?;
-        let mut command = Command::new(&proxy);
-        command.args(["join", "--dir"]).arg(&folder).stdin(Stdio::piped()).stdout(Stdio::null());
-        let child = self.start("proxy", &mut command)?;
-        let stdin = child.stdin.take().context("the proxy's input")?.into_owned_fd()?;
-        std::fs::File::from(stdin).write_all(line.as_bytes()).context("the proxy's input")?;
-        Ok(Some(config))
+        let mut command = site.proxy();
+        command.args(["join", "--dir"]).arg(site.home.path(SERVER)).arg("--file");
+        command.arg(site.home.server_invitation(context)?).stdout(Stdio::null());
+        self.start(PROXY, command)
     }
 
-    fn start(&mut self, label: &'static str, command: &mut Command) -> anyhow::Result<&mut Child> {
+    fn start(&mut self, label: &'static str, mut command: Command) -> anyhow::Result<()> {
         let child = command.kill_on_drop(true).spawn().with_context(|| format!("cannot start the {label}"))?;
         self.0.push((label, child));
-        Ok(&mut self.0.last_mut().context("a program")?.1)
+        Ok(())
     }
 
-    /// Waits until a program ends. Safe to cancel.
-    async fn ended(&mut self) -> anyhow::Error {
+    /// Waits until a program ends, and forgets it. Safe to cancel.
+    async fn ended(&mut self) -> (&'static str, String) {
         let waits = self.0.iter_mut().map(|(label, child)| Box::pin(async move { (*label, child.wait().await) }));
-        let ((label, status), ..) = futures::future::select_all(waits).await;
-        match status {
-            Ok(status) => anyhow::anyhow!("the {label} ended: {status}"),
-            Err(error) => anyhow::anyhow!("the {label} cannot be waited for: {error}"),
-        }
+        let ((label, status), at, _) = futures::future::select_all(waits).await;
+        self.0.remove(at);
+        (label, status.map_or_else(|error| error.to_string(), |status| status.to_string()))
     }
 
     /// Ends all programs, the last one first.
@@ -138,16 +165,71 @@ impl Programs {
     }
 }
 
+impl Launcher<'_> {
+    fn switch(&self) -> Command {
+        let mut command = gdp_util::processes::command(&self.own);
+        if let Some(socket) = self.socket {
+            command.arg("--socket").arg(socket);
+        }
+        command.args(["serve", "--config"]).arg(self.home.path("gdp.yaml"));
+        command.into()
+    }
+
+    fn join_service(&self) -> Command {
+        let mut command = gdp_util::processes::command(&self.own);
+        command.arg("join-service").arg("--dir").arg(self.home.folder());
+        command.into()
+    }
+
+    fn proxy(&self) -> Command {
+        gdp_util::processes::command(&self.own.with_file_name("gdp-proxy")).into()
+    }
+
+    /// Returns whether gdp-proxy is beside this program; says so if it is not.
+    fn has_proxy(&self) -> bool {
+        let exists = self.own.with_file_name("gdp-proxy").exists();
+        if !exists {
+            let own = self.own.display();
+            note(format_args!("gdp-ctl: no gdp-proxy beside {own}: members' topics are not in ROS here"));
+        }
+        exists
+    }
+}
+
 impl Home {
-    /// Returns an invitation for this machine's own proxy, which reads what all members expose.
-    fn server_line(&self) -> anyhow::Result<String> {
+    fn server_config(&self) -> PathBuf {
+        self.path(SERVER).join("proxy.yaml")
+    }
+
+    /// Publishes the newest revocation, which may have been made while no daemon answered.
+    fn publish_revocation(&self, context: &Context) -> anyhow::Result<()> {
+        let card = self.card()?;
+        match newest_revocation(&card, &self.revocation_path())? {
+            Some((signed, _)) => revocation::send(&card, signed, context),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the file with an invitation for this machine's own proxy, which reads what all
+    /// members expose. An attempt that was interrupted uses the same one again.
+    fn server_invitation(&self, context: &Context) -> anyhow::Result<PathBuf> {
+        let path = self.path("server.invitation");
+        let known = std::fs::read_to_string(&path).ok().and_then(|line| Token::from_line(&line).ok());
+        let holds = |token: &Token| token.invite().is_ok_and(|invite| invite.not_after > unix_seconds());
+        if known.is_some_and(|token| holds(&token)) {
+            return Ok(path);
+        }
+        if self.enrolled()?.contains_key(SERVER) {
+            revoke::revoke(self, &[SERVER.to_owned()], context)?;
+        }
         let address = self.address()?;
         let read = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: vec!["/**".into()] }];
         let (label, role) = (SERVER.to_owned(), SERVER.to_owned());
-        let terms = Terms { label, role, expose: vec![], import: vec![], read, duration: 365 * DAY, within: 3600 };
-        let at = format!("udp://127.0.0.1:{}", address.port).parse().context("this machine's own address")?;
-        let (token, _) = self.invite(terms, at, &address)?;
-        Ok(token.to_line().to_string() + "\n")
+        let (duration, within) = (365 * DAY, HOUR);
+        let terms = Terms { label, role, expose: vec![], import: vec![], read, duration, within };
+        let (token, _) = self.invite(terms, address.local(), &address)?;
+        secret_file::replace(&path, token.to_line().as_bytes())?;
+        Ok(path)
     }
 }
 
@@ -159,38 +241,25 @@ async fn answers(context: &Context) {
 }
 
 /// Says what was made, what is open, and what comes next.
-fn tell(home: &Home, options: &Options, made: &Made, proxy: Option<&Path>) -> anyhow::Result<()> {
+fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
     let (folder, address) = (home.folder().display(), home.address()?);
-    let members = join_service::stored(home)?.rows(unix_seconds());
+    let members = members::stored(home)?.rows(unix_seconds());
     let members = members.iter().filter(|row| row.enrollment.label != SERVER).count();
     let state = if made.is_new { "new" } else { "as it was" };
-    let xdp = match options.no_xdp {
-        true => "userspace plane",
-        false => "XDP where it disturbs nothing; --no-xdp prevents it",
-    };
-    let ros = match proxy {
-        Some(config) => format!("members' topics under /LABEL; {}", config.display()),
-        None => "none".to_owned(),
+    let xdp = if address.xdp { "XDP where it disturbs nothing; --no-xdp prevents it" } else { "userspace plane" };
+    let ros = match has_proxy {
+        true => format!("members' topics under /LABEL; {}", home.server_config().display()),
+        false => "none".to_owned(),
     };
     terminal::print([
         format!(
             "Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)",
             made.domain
         ),
-        format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, options.udp),
+        format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, address.udp),
         format!("Members   dial {}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
         "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
     ])
     .context("cannot write to stdout")
-}
-
-/// Returns the address of the interface with the default route. No packet is sent.
-fn own_address() -> anyhow::Result<String> {
-    let address = || -> std::io::Result<IpAddr> {
-        let socket = UdpSocket::bind("0.0.0.0:0")?;
-        socket.connect("192.0.2.1:9")?;
-        Ok(socket.local_addr()?.ip())
-    };
-    Ok(address().context("this machine has no default route; say what members dial with --at HOST")?.to_string())
 }
