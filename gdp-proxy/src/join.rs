@@ -216,10 +216,9 @@ impl Home {
         };
         match (notified, force) {
             (Err(error), false) => {
-                return Err(error.context(
-                    "the domain does not know that this machine leaves, so its files stay. If the proxy runs, stop it \
-                     first; `--force` leaves without the domain",
-                ));
+                let stays = "the domain does not know that this machine leaves, so its files stay. If the proxy runs, \
+                             stop it first; `--force` leaves without the domain";
+                Err(error.context(stays))
             }
             (notified, _) => {
                 for name in MEMBER_FILES {

@@ -198,7 +198,7 @@ fn join(home: &Home, line: Option<String>, file: Option<PathBuf>, asks: Asks) ->
             InvitationSource::Stdin
         }
     };
-    let joined = once()?.block_on(home.join(&source.read()?, asks.wishes()?, |line| terminal::note(line)))?;
+    let joined = once()?.block_on(home.join(&source.read()?, asks.wishes()?, terminal::note))?;
     Ok(terminal::print(joined.lines)?)
 }
 

@@ -73,7 +73,11 @@ fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_o
     scene.up()?;
     let line = scene.ctl(&["invite", "robot7", "--expose", "/a"])?;
     scene.join("robot7", &line)?;
-    execute(Command::new("cp").args(["-r", &scene.path("robot7"), &scene.path("clone")]))?;
+    std::fs::create_dir(scene.path("clone"))?;
+    for file in std::fs::read_dir(scene.path("robot7"))? {
+        let file = file?;
+        std::fs::copy(file.path(), scene.files.path().join("clone").join(file.file_name()))?;
+    }
     let start = |label: &str| -> Result<Process> {
         let config = scene.path(&format!("{label}/proxy.yaml"));
         Process::spawn(label, scene.proxy(&["--config", &config])?, scene.files.path())

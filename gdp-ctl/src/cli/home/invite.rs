@@ -223,5 +223,5 @@ pub(super) fn topics_of(text: &str) -> anyhow::Result<TopicsOf> {
 }
 
 pub(super) fn check_pattern(pattern: &str) -> anyhow::Result<()> {
-    Ok(gdp_ros::pattern::check(pattern).map_err(anyhow::Error::msg)?)
+    gdp_ros::pattern::check(pattern).map_err(anyhow::Error::msg)
 }
