@@ -44,6 +44,11 @@ pub struct NodeOptions {
 }
 
 impl NodeOptions {
+    /// Whether the user names a switch, instead of this machine's daemon.
+    pub fn names_switch(&self) -> bool {
+        self.switch.is_some()
+    }
+
     /// Opens the keyring, and warns about omitted files.
     pub fn keyring(&self) -> anyhow::Result<Keyring> {
         let keyring = Keyring::open(&self.folder()?)?;

@@ -16,7 +16,9 @@ use serde::Serialize;
 use super::dump::{RECORD_COLUMNS, RecordOutput};
 use super::output::table;
 use crate::cli::context::Context;
+use crate::cli::node::NodeOptions;
 use crate::client::Client;
+use crate::ros::fabric::Fabric;
 use gdp_proto::admin::Request;
 use gdp_util::unix_time::unix_seconds;
 
@@ -28,6 +30,8 @@ pub struct Options {
     /// Name, first digits of several names, or name card.
     #[arg(value_name = "NAME|PREFIX|CARD")]
     what: String,
+    #[command(flatten)]
+    node: NodeOptions,
 }
 
 /// Output of `gdp-ctl query`.
@@ -56,7 +60,13 @@ impl VerifiedRecord {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let prefix = prefix(&options.what)?;
-    let (records, truncated) = ask(&mut context.client()?, &prefix)?;
+    let (records, truncated) = match options.node.names_switch() {
+        true => {
+            let by_node = async |fabric: &Fabric| fabric.records(&prefix).await;
+            options.node.with_fabric(options.node.keyring()?, context, by_node)?
+        }
+        false => ask(&mut context.client()?, &prefix)?,
+    };
     if records.is_empty() {
         bail!("nobody publishes, reads, serves or calls {prefix}");
     }

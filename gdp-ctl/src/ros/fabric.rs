@@ -7,6 +7,7 @@ use gdp::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
+use gdp_core::name::NamePrefix;
 use gdp_proto::control::{NameRole, Record};
 use gdp_wire::Name;
 
@@ -15,7 +16,7 @@ use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 
-/// Maximum number of records of one name that are counted.
+/// Maximum number of records that are asked for.
 const MAX_RECORDS: usize = 100_000;
 
 /// The command's node in the fabric, with its keyring.
@@ -45,23 +46,31 @@ impl Fabric {
 
     /// Returns the entities of a name, without this node itself.
     pub async fn entities(&self, card: &NameCard) -> anyhow::Result<Entities> {
-        let (name, mut entities, mut after, mut seen) = (card.name(), Entities::default(), None, 0);
-        loop {
-            let (records, truncated) = self.node.query(name.into(), after).await?;
-            for record in &records {
-                let (role, entity) = role(record)?;
-                let side = match role {
-                    NameRole::Publisher | NameRole::Server => &mut entities.writers,
-                    NameRole::Subscriber | NameRole::Caller => &mut entities.readers,
-                };
-                if entity != self.node.name() && !side.contains(&entity) {
-                    side.push(entity);
-                }
+        let mut entities = Entities::default();
+        for record in &self.records(&card.name().into()).await?.0 {
+            let (role, entity) = role(record)?;
+            let side = match role {
+                NameRole::Publisher | NameRole::Server => &mut entities.writers,
+                NameRole::Subscriber | NameRole::Caller => &mut entities.readers,
+            };
+            if entity != self.node.name() && !side.contains(&entity) {
+                side.push(entity);
             }
-            seen += records.len();
-            after = records.last().map(Record::key).transpose()?;
-            if !truncated || after.is_none() || seen >= MAX_RECORDS {
-                return Ok(entities);
+        }
+        Ok(entities)
+    }
+
+    /// Returns the verified records of the names with this prefix, and whether there are more than
+    /// [`MAX_RECORDS`].
+    pub async fn records(&self, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
+        let mut records: Vec<Record> = Vec::new();
+        loop {
+            let after = records.last().map(Record::key).transpose()?;
+            let (page, truncated) = self.node.query(prefix.clone(), after).await?;
+            let is_last = !truncated || page.is_empty();
+            records.extend(page);
+            if is_last || records.len() >= MAX_RECORDS {
+                return Ok((records, truncated));
             }
         }
     }

@@ -278,6 +278,12 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
         assert_eq!(found["records"][0]["name"], card["name"], "{what}");
         assert_eq!(found["records"][0]["verified"], true);
     }
+    // On a machine without a daemon, with a key and a switch.
+    std::fs::create_dir(user.file("keys")).unwrap();
+    user.json(&["key", "generate", "keys/id.pem", "--kind", "proxy"]);
+    let at = format!("udp://{}", user.json(&["status"])["udp"].as_str().unwrap());
+    let remote = ["query", "chatter.card", "--switch", &at, "--keyring", "keys", "--socket", "nowhere.sock"];
+    assert_eq!(user.json(&remote)["records"][0]["name"], card["name"]);
     let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", robot["name"].as_str().unwrap()];
     user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
     user.json(&["advertise", "chatter.card", "--key", "robot.pem", "--cert", "chatter.ad"]);
