@@ -9,19 +9,21 @@ use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, RtCert, Signed, issue};
 use gdp_core::identity::Identity;
 use gdp_core::name::Name;
-use gdp_proto::control::{EntityRequest, Response};
+use gdp_proto::control::{EntityRequest, NameRole, Record, Response};
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::credential_file::CredentialFile;
 use super::entity;
 use super::key::EntityKind;
+use super::query;
 use crate::cli::context::Context;
 use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 use gdp_util::date::rounded;
+use gdp_util::terminal::note;
 use gdp_util::unix_time::unix_seconds;
 
 /// Validity in seconds of the RtCert that permits the switch to carry the entity's statement.
@@ -89,7 +91,17 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
             entity.name(),
             rounded(u64::from(options.lifetime))
         )]
-    })
+    })?;
+    let (records, _) = query::ask(&mut context.client()?, &card.name().into())?;
+    let is_reader = |record: &Record| matches!(record.role(), Ok(NameRole::Subscriber | NameRole::Caller));
+    if !records.iter().any(is_reader) {
+        let card = options.card.display();
+        note(format_args!(
+            "gdp-ctl: no reader yet, so there is no route. Who has a grant (`gdp-ctl grant add {card} --read …`) and \
+             subscribes makes one"
+        ));
+    }
+    Ok(())
 }
 
 pub fn withdraw(options: &WithdrawOptions, context: &Context) -> anyhow::Result<()> {

@@ -271,7 +271,9 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
     assert_eq!(nobody.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&nobody.stderr).contains("nobody publishes"));
 
-    let done = user.json(&["advertise", "chatter.card", "--key", "owner.pem", "--kind", "owner", "--for", "5m"]);
+    let done = user.run(&["-j", "advertise", "chatter.card", "--key", "owner.pem", "--kind", "owner", "--for", "5m"]);
+    assert!(String::from_utf8_lossy(&done.stderr).contains("no reader yet, so there is no route"), "{done:?}");
+    let done: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!((&done["name"], &done["switch"]), (&card["name"], &switch));
     for what in ["chatter.card", name, &name[..5]] {
         let found = user.json(&["query", what]);
