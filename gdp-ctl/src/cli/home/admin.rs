@@ -10,6 +10,7 @@ use anyhow::{Context as _, bail};
 use clap::Subcommand;
 use gdp_core::cbor;
 use gdp_core::secret_file;
+use gdp_util::date::relative;
 use gdp_util::terminal::note;
 use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
@@ -170,9 +171,9 @@ fn log(home: &Home, context: &Context) -> anyhow::Result<()> {
     };
     for line in text.lines() {
         let entry: LogOutput = serde_json::from_str(line).with_context(|| format!("{}: not a log", path.display()))?;
-        let ago = unix_seconds().saturating_sub(entry.time);
+        let when = relative(entry.time, unix_seconds());
         context.output.print(&entry, || {
-            [format!("{ago} s ago  {}  {}  {}  {}", entry.user, entry.action, entry.label, entry.serials.join(" "))]
+            [format!("{when}  {}  {}  {}  {}", entry.user, entry.action, entry.label, entry.serials.join(" "))]
         })?;
     }
     Ok(())

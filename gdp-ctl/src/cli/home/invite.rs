@@ -10,6 +10,7 @@ use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_directory::join_card;
+use gdp_util::date::rounded;
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -86,9 +87,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         if is_standing {
             note("Machines that run `sudo gdp-proxy join` with this line wait until you approve them.");
         } else {
-            let hours = options.within / 3600;
+            let within = rounded(options.within.into());
             note(format_args!(
-                "One line, for {label}, once, within {hours} h. It holds a secret: send it as a password."
+                "One line, for {label}, once, within {within}. It holds a secret: send it as a password."
             ));
             note(format_args!("On {label}, run `sudo gdp-proxy join` and paste it:"));
         }

@@ -9,6 +9,7 @@ use gdp_core::name::NamePrefix;
 use gdp_directory::fingerprint;
 use gdp_directory::messages::Application;
 use gdp_directory::service::MemberRow;
+use gdp_util::date::rounded;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use schemars::JsonSchema;
@@ -105,7 +106,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             let entity = member.fingerprint.clone().unwrap_or(entity);
             let ends = match member.until {
                 0 => format!("gdp-ctl approve {}", member.label),
-                until => format!("{} d", until.saturating_sub(now).div_ceil(86400)),
+                until => rounded(until.saturating_sub(now)),
             };
             let lists = [&member.expose, &member.import, &member.read];
             let [expose, import, read] =
