@@ -91,17 +91,17 @@ pub fn shared(members: &[Member], own: Name, graph: Option<&str>) -> SharedByDir
             shared.exposed.exports.extend(patterns(me.imported_by(&other.enrollment).map(|(here, _)| here)));
             shared.exposed.readers.push(MemberReader { entity: other.entity, topics });
         }
-        shared.imports.extend(import(me, other, own, graph));
+        shared.imports.extend(import(me, other, graph));
     }
     shared
 }
 
 /// Returns the import of what `me` may read of `other`.
-fn import(me: &Member, other: &Member, own: Name, graph: Option<&str>) -> Option<(ImportConfig, ImportMaterial)> {
+fn import(me: &Member, other: &Member, graph: Option<&str>) -> Option<(ImportConfig, ImportMaterial)> {
     let (catalog, grant) = (other.catalog.clone()?, Reading::from(other.grant.clone()?));
     let label = &other.enrollment.label;
     let topics = patterns(other.readable_by(&me.enrollment));
-    if topics.is_empty() || other.entity == own {
+    if topics.is_empty() {
         return None;
     }
     let imported: Vec<_> = other.imported_by(&me.enrollment).collect();

@@ -11,11 +11,12 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
-use gdp_core::cert::{AdCert, Delegation, Enrollment, Issued, Membership, ReadGrant, Signed, TopicsOf, issue};
+use gdp_core::cert::{
+    AdCert, BACKDATED, Delegation, Enrollment, Grantee, Issued, Membership, ReadGrant, Signed, TopicsOf, issue,
+};
 use gdp_core::domain::{Credentials, Enrolling, Token};
-use gdp_core::identity::{Identity, SigningKey, VerifyKey};
-use gdp_core::name::Metadata;
-use gdp_core::{cert::Grantee, secret_file};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, SERVER, fingerprint, join_card};
 use gdp_util::escape::escape_json;
@@ -35,9 +36,6 @@ const APPLY_AGAIN: Duration = Duration::from_secs(2);
 
 /// Pause before the join service is asked again, because the route to it may not exist yet.
 const SOON: Duration = Duration::from_millis(100);
-
-/// Seconds by which a validity begins earlier, because clocks differ.
-const BACKDATED: u64 = 300;
 
 /// Files that end with the membership.
 const MEMBER_FILES: [&str; 7] =
@@ -181,7 +179,7 @@ impl Home {
             JoinReply::Refused(reason) => bail!("the domain does not let this machine join: {reason}"),
             _ => bail!("the join service answers another question"),
         }
-        write(&self.file("domain.card"), &domain_card(domain_key)?.to_json())?;
+        write(&self.file("domain.card"), &token.domain_card()?.to_json())?;
         let config = configuration(token, &enrollment);
         Config::parse(&config, &self.config())?;
         write(&self.config(), &config)?;
@@ -308,11 +306,6 @@ fn offer(owner: &SigningKey, card: &NameCard, entity: Name, enrollment: &Enrollm
     let right = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
     let delegation = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
     Ok(OfferedCatalog { name: card.into(), right: issue(owner, &right)?, delegation: issue(owner, &delegation)? })
-}
-
-/// Returns the card of a domain. All domains have the same metadata.
-fn domain_card(key: VerifyKey) -> Result<NameCard> {
-    Ok(NameCard::new(key, Metadata::from([("kind".to_owned(), "domain".to_owned())]))?)
 }
 
 /// Attaches at the switch that the invitation names.

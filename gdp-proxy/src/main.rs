@@ -10,9 +10,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use gdp_core::cert::TopicsOf;
 use gdp_core::cert::enrollment::MAX_LABEL;
-use gdp_directory::SERVER;
+use gdp_directory::of_server;
 use gdp_proxy::config::schema;
 use gdp_proxy::join::{Home, InvitationSource, Wishes};
 use gdp_proxy::reload::{Loaded, Watch};
@@ -115,14 +114,8 @@ struct Asks {
 impl Asks {
     fn wishes(self) -> Result<Wishes> {
         let label = self.label.map_or_else(host_label, Ok)?;
-        let of = |text: &String| {
-            let (member, pattern) =
-                text.split_once(':').with_context(|| format!("--read {text}: write LABEL:PATTERN"))?;
-            Ok(TopicsOf { member: member.into(), topics: vec![pattern.into()] })
-        };
-        let of_server = TopicsOf { member: SERVER.into(), topics: self.import.clone() };
-        let import = if self.import.is_empty() { vec![] } else { vec![of_server] };
-        Ok(Wishes { label, expose: self.expose, import, read: self.read.iter().map(of).collect::<Result<_>>()? })
+        let read = self.read.iter().map(|text| text.parse().context("--read")).collect::<Result<_>>()?;
+        Ok(Wishes { label, expose: self.expose, import: of_server(&self.import), read })
     }
 }
 

@@ -82,6 +82,14 @@ fn with_temporary(
     result
 }
 
+/// Returns the contents of a file as [`read`] does, or `None` if it does not exist.
+pub fn read_optional(path: &Path, max: usize) -> Result<Option<Zeroizing<Vec<u8>>>, SecretFileError> {
+    match read(path, max) {
+        Err(error) if error.is_not_found() => Ok(None),
+        result => result.map(Some),
+    }
+}
+
 /// Reads the whole of `path`, at most `max` bytes. It follows a symbolic link and checks the
 /// target.
 pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {

@@ -7,7 +7,7 @@ pub mod messages;
 pub mod service;
 
 use gdp_core::card::{CardError, NameCard};
-use gdp_core::cert::Grantee;
+use gdp_core::cert::{Grantee, TopicsOf};
 use gdp_core::identity::VerifyKey;
 use gdp_core::name::Metadata;
 use gdp_e2e::seal::Encoding;
@@ -34,6 +34,14 @@ pub fn join_card(domain: VerifyKey) -> Result<NameCard, CardError> {
 
 fn card(domain: VerifyKey, kind: &str) -> Result<NameCard, CardError> {
     NameCard::new(domain, Metadata::from([("kind".to_owned(), kind.to_owned())]))
+}
+
+/// Returns the rules by which a member imports topics from the server.
+pub fn of_server(patterns: &[String]) -> Vec<TopicsOf> {
+    match patterns {
+        [] => Vec::new(),
+        patterns => vec![TopicsOf { member: SERVER.into(), topics: patterns.to_vec() }],
+    }
 }
 
 /// Returns the fingerprint of a machine for people to compare: the first 64 bits of its name.

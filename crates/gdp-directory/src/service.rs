@@ -9,7 +9,7 @@ use gdp_core::cbor;
 use gdp_core::cbor::CborError;
 use gdp_core::cert::enrollment::{check_label, check_lists};
 use gdp_core::cert::{
-    CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
+    BACKDATED, CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
 };
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
@@ -30,9 +30,6 @@ const CHANGE_INTERVAL: u64 = 2_000_000_000;
 
 /// Maximum number of applications that wait.
 const MAX_APPLICATIONS: usize = 64;
-
-/// Seconds by which a validity begins earlier, because clocks differ.
-const BACKDATED: u64 = 300;
 
 /// The join service of one domain.
 pub struct JoinService {
@@ -153,9 +150,8 @@ impl JoinService {
     }
 
     /// Takes the applications that were stored.
-    pub fn restore_applications(&mut self, bytes: &[u8]) -> Result<(), CborError> {
-        self.applications = cbor::decode::<Vec<(Name, Application)>>(bytes, MAX_DIRECTORY)?.into_iter().collect();
-        Ok(())
+    pub fn restore_applications(&mut self, applications: Applications) {
+        self.applications = applications;
     }
 
     /// Takes the decisions of a person. Their applications no longer wait. Returns true if any did.

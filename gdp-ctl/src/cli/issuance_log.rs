@@ -6,14 +6,12 @@
 //! ledger all grants remain valid, but only a serial or a file can identify them.
 
 use std::fs::File;
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::secret_file;
-use gdp_core::secret_file::SecretFileError;
 use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::de::DeserializeOwned;
@@ -79,7 +77,7 @@ impl IssuanceLog {
     /// Returns the certificates issued here, in the order of serials.
     pub fn ledger<E: Entry>(&self) -> anyhow::Result<Vec<E>> {
         let path = self.ledger_path::<E>();
-        let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
+        let Some(content) = secret_file::read_optional(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
         let ledger: Ledger<E> = serde_json::from_slice(&content)
             .with_context(|| format!("{}: not a ledger of what was issued", path.display()))?;
         if ledger.version != VERSION || ledger.name != self.card.name() {
@@ -122,7 +120,7 @@ impl IssuanceLog {
 /// Returns the revocation in this file, if it exists. The file is replaced as a whole, so it needs
 /// no lock.
 pub fn newest_revocation(card: &NameCard, path: &Path) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
-    let Some(content) = read(path, MAX_REVOCATION)? else { return Ok(None) };
+    let Some(content) = secret_file::read_optional(path, MAX_REVOCATION)? else { return Ok(None) };
     let check = || -> anyhow::Result<_> {
         let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
         let claims = signed.verify_signature(card.owner_key())?;
@@ -132,12 +130,4 @@ pub fn newest_revocation(card: &NameCard, path: &Path) -> anyhow::Result<Option<
         Ok((signed, claims))
     };
     check().map(Some).with_context(|| path.display().to_string())
-}
-
-/// Returns the contents of a file, or `None` if it does not exist.
-fn read(path: &Path, max: usize) -> Result<Option<impl Deref<Target = Vec<u8>>>, SecretFileError> {
-    match secret_file::read(path, max) {
-        Err(error) if error.is_not_found() => Ok(None),
-        result => result.map(Some),
-    }
 }

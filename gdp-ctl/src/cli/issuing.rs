@@ -1,15 +1,12 @@
 //! Serial numbers and validity periods of certificates.
 
+use gdp_core::cert::BACKDATED;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
 /// Returns the serial of a certificate issued now.
 pub fn serial_now() -> u64 {
     unix_nanos()
 }
-
-/// Seconds by which the start of a validity is backdated, so that a clock that is slightly behind
-/// accepts the certificate.
-const BACKDATED: u64 = 300;
 
 /// Returns the start and end of the validity of a certificate issued now.
 pub fn validity(seconds: u64) -> (u64, u64) {

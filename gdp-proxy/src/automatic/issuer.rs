@@ -6,7 +6,7 @@
 //! removed from the readers loses the right within [`LIFETIME`].
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, CertError, Grantee, Issued, ReadGrant, issue};
+use gdp_core::cert::{AdCert, BACKDATED, CertError, Grantee, Issued, ReadGrant, issue};
 use gdp_core::crypto::{self, CryptoError};
 use gdp_core::identity::SigningKey;
 use gdp_core::name::Metadata;
@@ -19,9 +19,6 @@ use crate::ros2::{TopicName, TypeName};
 
 /// Validity of a certificate in seconds.
 pub const LIFETIME: u64 = 24 * 3600;
-
-/// Seconds by which the validity begins earlier, because clocks differ.
-const BACKDATED: u64 = 300;
 
 /// HKDF context of the secret in a name.
 const CONTEXT: &[u8] = b"gdp-proxy/expose/1";

@@ -411,8 +411,8 @@ fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/config/mistakes.rs"]
-mod mistakes;
+#[path = "../../tests/unit/config/error_messages.rs"]
+mod error_messages;
 #[cfg(test)]
 #[path = "../../tests/unit/config.rs"]
 mod tests;

@@ -105,7 +105,7 @@ fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_o
 }
 
 #[test]
-fn mistakes_on_the_way_into_a_domain_name_the_remedy() -> Result<()> {
+fn errors_of_invite_join_and_apply_name_the_remedy() -> Result<()> {
     let mut scene = Scene::build()?;
     for (arguments, remedy) in [
         (vec!["invite", "robot7", "--expose", "/a"], "gdp-ctl up"),

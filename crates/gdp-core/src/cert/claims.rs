@@ -8,6 +8,10 @@ use serde::{Serialize, de::DeserializeOwned};
 /// tolerance: a verifier whose clock is behind already accepts longer.
 pub const CLOCKS_DIFFER: u64 = 60;
 
+/// Seconds by which issuers begin a validity earlier, so that a clock that is slightly behind
+/// accepts the certificate.
+pub const BACKDATED: u64 = 300;
+
 /// Maximum lead in seconds of a serial over the verifier's clock, where the serial is the time of
 /// issue. A revocation of all that was issued so far covers serials up to its own time, so a serial
 /// of the far future would survive it.

@@ -8,6 +8,8 @@ use crate::cert::error::CertError;
 use crate::name::Name;
 use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 /// Maximum length of a label in bytes.
 pub const MAX_LABEL: usize = 32;
@@ -55,6 +57,27 @@ pub struct TopicsOf {
 impl TopicsOf {
     pub fn is_of(&self, label: &str) -> bool {
         self.member == ALL_MEMBERS || self.member == label
+    }
+}
+
+impl fmt::Display for TopicsOf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.member, self.topics.join(","))
+    }
+}
+
+impl FromStr for TopicsOf {
+    type Err = CertError;
+
+    /// Parses `LABEL:PATTERN`. Does not check the pattern.
+    fn from_str(text: &str) -> Result<Self, CertError> {
+        let Some((member, pattern)) = text.split_once(':') else {
+            return Err(CertError::Malformed(format!("{text}: write LABEL:PATTERN, such as robot7:/camera/**")));
+        };
+        if member != ALL_MEMBERS {
+            check_label(member)?;
+        }
+        Ok(Self { member: member.into(), topics: vec![pattern.into()] })
     }
 }
 

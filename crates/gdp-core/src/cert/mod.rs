@@ -26,7 +26,7 @@ mod statements;
 mod switch;
 
 pub use advert_op::AdvertOp;
-pub use claims::{CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
+pub use claims::{BACKDATED, CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use enrollment::{Enrollment, TopicsOf};
 pub use error::CertError;

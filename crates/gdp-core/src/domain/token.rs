@@ -5,12 +5,13 @@ use base64ct::{Base64UrlUnpadded, Encoding};
 use serde::{Deserialize, Serialize};
 use zeroize::{Zeroize, Zeroizing};
 
+use crate::card::NameCard;
 use crate::cbor;
 use crate::cbor::CborError;
 use crate::cert::{CertError, Delegation, Enrollment, Invite, MemberCert, Membership, Signed, issue};
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
-use crate::name::{Name, NameProof};
+use crate::name::{Metadata, Name, NameProof, inner_digest};
 
 const PREFIX: &str = "gdp1";
 
@@ -128,6 +129,15 @@ impl Token {
 
     pub fn domain(&self) -> &NameProof {
         &self.domain
+    }
+
+    /// Returns the card of the domain. All domains have the same metadata.
+    pub fn domain_card(&self) -> Result<NameCard, CertError> {
+        let metadata = Metadata::from([("kind".to_owned(), "domain".to_owned())]);
+        if inner_digest(&metadata) != self.domain.digest {
+            return Err(CertError::Malformed("who invites is no domain".into()));
+        }
+        NameCard::new(self.domain.verify_key()?, metadata).map_err(|error| CertError::Malformed(error.to_string()))
     }
 
     pub fn at(&self) -> &LinkTarget {

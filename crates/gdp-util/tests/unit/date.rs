@@ -21,7 +21,7 @@ fn times_are_those_of_the_gregorian_calendar() {
 }
 
 #[test]
-fn a_time_is_told_with_its_distance() {
+fn a_relative_time_has_the_date_and_the_distance() {
     let now = 1_795_436_955;
     for (at, expected) in [
         (now - 1, "2026-11-23T12:29:14Z, 1 s ago"),

@@ -4,15 +4,12 @@ use std::io::Read;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::Args;
-use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
 use gdp_core::domain::Token;
-use gdp_core::identity::{Identity, VerifyKey};
+use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
-use gdp_core::name;
-use gdp_core::name::Metadata;
 use gdp_util::date::relative;
 use gdp_util::escape::escape_json;
 use gdp_util::unix_time::unix_seconds;
@@ -77,7 +74,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     };
     // Check everything before writing any file.
     let config = if is_switch { switch(&token, &invite.role, &identity_at)? } else { proxy(&token, &identity_at) };
-    let card = card(&token)?;
+    let card = token.domain_card()?;
     let identity = Identity::load_or_generate(identity_file, kind)?;
     let serial = serial_now();
     let (not_before, _) = validity(0);
@@ -115,15 +112,6 @@ pub fn read_token(argument: &str) -> anyhow::Result<Token> {
     Ok(token?)
 }
 
-/// Returns the card of the token's domain. All domains have the same metadata.
-fn card(token: &Token) -> anyhow::Result<NameCard> {
-    let metadata = Metadata::from([("kind".to_owned(), "domain".to_owned())]);
-    if name::inner_digest(&metadata) != token.domain().digest {
-        bail!("who invites is no domain");
-    }
-    Ok(NameCard::new(VerifyKey::from_bytes(&token.domain().owner_key)?, metadata)?)
-}
-
 fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> {
     check_address(token.at())?;
     let via = match token.at() {
@@ -147,7 +135,7 @@ fn proxy(token: &Token, identity: &Path) -> String {
 }
 
 /// Returns a text in double quotes, which YAML and JSON parse in the same way.
-fn quoted(text: impl Serialize) -> String {
+pub fn quoted(text: impl Serialize) -> String {
     escape_json(&serde_json::json!(text).to_string()).into_owned()
 }
 

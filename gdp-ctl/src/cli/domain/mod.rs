@@ -15,7 +15,7 @@ use crate::cli::context::Context;
 
 pub use authority::Authority;
 pub use issue::{InitOutput, create_domain};
-pub use join::JoinOutput;
+pub use join::{JoinOutput, quoted};
 pub use ledger::{Issue, To};
 pub use show::{DomainOutput, InvitationOutput};
 

@@ -7,8 +7,8 @@ use std::io::{BufRead as _, Read as _};
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cbor;
+use gdp_core::cert::TopicsOf;
 use gdp_core::secret_file;
-use gdp_core::secret_file::SecretFileError;
 use gdp_directory::directory::MAX_DIRECTORY;
 use gdp_directory::fingerprint;
 use gdp_directory::messages::{Application, Approval, Decision};
@@ -73,10 +73,7 @@ pub fn approve(options: &ApproveOptions, context: &Context) -> anyhow::Result<()
     let (entity, application) = home.application(&options.label)?;
     let Application { label, expose, import, read, key } = application;
     let shown = fingerprint(entity);
-    let of = |rules: &[gdp_core::cert::TopicsOf]| {
-        let texts: Vec<_> = rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect();
-        texts.join(" ")
-    };
+    let of = |rules: &[TopicsOf]| rules.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
     note(format_args!("{label} asks to expose {expose:?}, import {:?}, read {:?}", of(&import), of(&read)));
     note(format_args!("Its fingerprint: {shown}"));
     if !options.yes {
@@ -125,10 +122,9 @@ impl Home {
 
     fn stored<T: Serialize + serde::de::DeserializeOwned>(&self, name: &str) -> anyhow::Result<Vec<(Name, T)>> {
         let path = self.path(name);
-        match secret_file::read(&path, MAX_DIRECTORY) {
-            Ok(bytes) => cbor::decode(&bytes, MAX_DIRECTORY).with_context(|| format!("{}: damaged", path.display())),
-            Err(error) if SecretFileError::is_not_found(&error) => Ok(Vec::new()),
-            Err(error) => Err(error.into()),
+        match secret_file::read_optional(&path, MAX_DIRECTORY)? {
+            Some(bytes) => cbor::decode(&bytes, MAX_DIRECTORY).with_context(|| format!("{}: damaged", path.display())),
+            None => Ok(Vec::new()),
         }
     }
 

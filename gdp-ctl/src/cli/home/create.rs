@@ -6,16 +6,15 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use gdp_core::cert::domain::roles;
-use gdp_core::cert::{AdCert, Claims, Delegation, MemberCert, Membership, Signed, issue};
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::cert::{AdCert, Delegation, MemberCert, Membership, issue};
+use gdp_core::identity::Identity;
 use gdp_core::secret_file;
 use gdp_directory::{directory_card, join_card};
-use gdp_util::escape::escape_json;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
 use super::{DAY, DomainAddress, Home};
-use crate::cli::domain::{Issue, To, create_domain};
+use crate::cli::domain::{Issue, To, create_domain, quoted};
 use crate::cli::issuing::validity;
 
 /// Validity in seconds of what the domain issues to its own server.
@@ -80,8 +79,8 @@ impl Home {
 
     /// Issues the membership of an entity of this server, unless half of the last one is left.
     fn admit(&self, identity: &Identity, role: &str, label: &str) -> anyhow::Result<()> {
-        let file = self.path(&format!("{label}.member"));
-        let known = std::fs::read_to_string(&file).ok().and_then(|text| Membership::from_pem(&text).ok());
+        let file = format!("{label}.member");
+        let known = std::fs::read_to_string(self.path(&file)).ok().and_then(|text| Membership::from_pem(&text).ok());
         let until = known.and_then(|known| known.cert.claims_unverified().ok()).map_or(0, |claims| claims.not_after);
         if is_fresh(until) {
             return Ok(());
@@ -92,14 +91,9 @@ impl Home {
             (authority.identity.name(), identity.name(), role.to_owned(), authority.serial);
         let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
         let membership = Membership::issue(&authority.identity, &claims)?;
-        let (to, file) = (To::Member { entity, role }, Some(file));
-        let label = Some(label.to_owned());
-        authority.remember(Issue { serial, to, label, not_before, not_after, ends: not_after, file: file.clone() })?;
-        self.replace_file(file.as_deref(), &membership.to_pem())
-    }
-
-    fn replace_file(&self, file: Option<&Path>, text: &str) -> anyhow::Result<()> {
-        file.map_or(Ok(()), |file| Ok(secret_file::replace(file, text.as_bytes())?))
+        let (to, label, at) = (To::Member { entity, role }, Some(label.to_owned()), Some(self.path(&file)));
+        authority.remember(Issue { serial, to, label, not_before, not_after, ends: not_after, file: at })?;
+        self.replace(&file, &membership.to_pem())
     }
 
     /// Lets the join service serve its name, publish the directory, and grant both to members.
@@ -117,14 +111,10 @@ impl Home {
             let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
             let delegation = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
             self.replace(&format!("{label}.delegation"), &issue(key, &delegation)?.to_pem())?;
-            self.replace(&format!("{label}.cert"), &signed(key, &cert)?.to_pem())?;
+            self.replace(&format!("{label}.cert"), &issue(key, &cert)?.to_pem())?;
         }
         Ok(())
     }
-}
-
-fn signed<T: Claims>(key: &SigningKey, claims: &T) -> anyhow::Result<Signed<T>> {
-    Ok(issue(key, claims)?)
 }
 
 /// Whether more than half of the lifetime is left.
@@ -152,7 +142,6 @@ fn own_address() -> anyhow::Result<String> {
 }
 
 fn configuration(address: &DomainAddress, socket: Option<&Path>) -> anyhow::Result<String> {
-    let quoted = |text: String| escape_json(&serde_json::json!(text).to_string()).into_owned();
     let mut text = format!(
         "identity: switch.pem\nudp: {}\nrib: true\n\
          domain: {{card: domain.card, membership: switch.member, members_only: true}}\n",

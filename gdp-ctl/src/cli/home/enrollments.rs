@@ -6,7 +6,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::Context as _;
 use gdp_core::cert::{Enrollment, Signed};
 use gdp_core::secret_file;
-use gdp_core::secret_file::SecretFileError;
 use gdp_util::unix_time::unix_seconds;
 
 use super::{Home, members};
@@ -22,10 +21,9 @@ impl Home {
     /// Returns the enrollments by label, as text. They may be of members that are revoked.
     fn enrollments(&self) -> anyhow::Result<BTreeMap<String, String>> {
         let path = self.path(FILE);
-        match secret_file::read(&path, MAX_FILE) {
-            Ok(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("{}: damaged", path.display())),
-            Err(error) if SecretFileError::is_not_found(&error) => Ok(BTreeMap::new()),
-            Err(error) => Err(error.into()),
+        match secret_file::read_optional(&path, MAX_FILE)? {
+            Some(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("{}: damaged", path.display())),
+            None => Ok(BTreeMap::new()),
         }
     }
 

@@ -1,15 +1,15 @@
 //! `gdp-ctl invite`: prints the line with which a machine joins the domain. It gives what the
 //! options say, and nothing else.
 
-use anyhow::bail;
+use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::domain::roles;
-use gdp_core::cert::enrollment::{ALL_MEMBERS, check_label};
+use gdp_core::cert::enrollment::check_label;
 use gdp_core::cert::{Delegation, Enrollment, Invite, Signed, TopicsOf, issue};
 use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::link_target::LinkTarget;
-use gdp_directory::join_card;
+use gdp_directory::{SERVER, join_card, of_server};
 use gdp_util::date::rounded;
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
@@ -19,7 +19,6 @@ use super::{APPLICANTS, Home, HomeOptions};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::issuing::{parse_seconds, validity};
-use gdp_directory::SERVER;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -208,19 +207,13 @@ pub(super) fn imported(label: &str, patterns: &[String]) -> anyhow::Result<Vec<T
             );
         }
     }
-    let of_server = TopicsOf { member: SERVER.into(), topics: patterns.to_vec() };
-    Ok(if patterns.is_empty() { vec![] } else { vec![of_server] })
+    Ok(of_server(patterns))
 }
 
 pub(super) fn topics_of(text: &str) -> anyhow::Result<TopicsOf> {
-    let Some((member, pattern)) = text.split_once(':') else {
-        bail!("--read {text}: write LABEL:PATTERN, such as robot7:/camera/**");
-    };
-    check_pattern(pattern)?;
-    if member != ALL_MEMBERS {
-        check_label(member)?;
-    }
-    Ok(TopicsOf { member: member.into(), topics: vec![pattern.into()] })
+    let of: TopicsOf = text.parse().context("--read")?;
+    of.topics.iter().try_for_each(|pattern| check_pattern(pattern))?;
+    Ok(of)
 }
 
 pub(super) fn check_pattern(pattern: &str) -> anyhow::Result<()> {

@@ -96,13 +96,13 @@ impl JoinServer {
     /// Answers a call. A new member is stored and published before it knows.
     async fn answer(&mut self, call: Call) -> anyhow::Result<()> {
         let caller = call.client();
-        let before = self.service.applications().clone();
+        let before = self.service.applications().get(&caller).cloned();
         let mut reply = match JoinRequest::from_bytes(call.body()) {
             Ok(request) => self.service.answer(caller, request, unix_nanos()),
             Err(error) => JoinReply::Refused(format!("the request cannot be read: {error}")),
         };
         let is_change = match &reply {
-            JoinReply::Pending => *self.service.applications() != before,
+            JoinReply::Pending => self.service.applications().get(&caller) != before.as_ref(),
             JoinReply::Joined { .. } | JoinReply::Left => true,
             JoinReply::Approved(_) | JoinReply::Refused(_) => false,
         };

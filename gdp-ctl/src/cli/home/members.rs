@@ -4,10 +4,9 @@ use anyhow::Context as _;
 use gdp_core::cert::Revocation;
 use gdp_core::identity::SigningKey;
 use gdp_core::secret_file;
-use gdp_directory::directory::MAX_DIRECTORY;
 use gdp_directory::service::{Delegations, JoinService, MAX_STORED};
 
-use super::{Home, applications};
+use super::Home;
 use crate::cli::issuance_log::newest_revocation;
 
 /// Returns the join service with the members that have joined.
@@ -17,17 +16,10 @@ pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
         Delegations { directory: home.signed("directory.delegation")?, join: home.signed("join.delegation")? };
     let mut service = JoinService::new(SigningKey::load(&home.path("join.pem"))?, domain.name(), delegations);
     let members = home.path("directory.members");
-    match secret_file::read(&members, MAX_STORED) {
-        Ok(bytes) => service.restore(&bytes).with_context(|| members.display().to_string())?,
-        Err(error) if error.is_not_found() => {}
-        Err(error) => return Err(error.into()),
+    if let Some(bytes) = secret_file::read_optional(&members, MAX_STORED)? {
+        service.restore(&bytes).with_context(|| members.display().to_string())?;
     }
-    let applications = home.path(applications::APPLICATIONS);
-    match secret_file::read(&applications, MAX_DIRECTORY) {
-        Ok(bytes) => service.restore_applications(&bytes).with_context(|| applications.display().to_string())?,
-        Err(error) if error.is_not_found() => {}
-        Err(error) => return Err(error.into()),
-    }
+    service.restore_applications(home.applications()?);
     update(home, &mut service)?;
     Ok(service)
 }

@@ -59,9 +59,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let joined: BTreeMap<u64, MemberRow> =
         service.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
-    let of = |rules: &[TopicsOf]| -> Vec<String> {
-        rules.iter().map(|of| format!("{}:{}", of.member, of.topics.join(","))).collect()
-    };
+    let of = |rules: &[TopicsOf]| -> Vec<String> { rules.iter().map(ToString::to_string).collect() };
     let is_member =
         |issue: &&Issue| matches!(&issue.to, To::Invited { role } if role != roles::APPLICANT) && issue.label.is_some();
     let member = |issue: &Issue| {

@@ -32,7 +32,7 @@ fn a_misspelt_key_is_named_with_its_line_and_with_what_was_meant() {
 }
 
 #[test]
-fn a_mistake_has_its_remedy() {
+fn each_error_names_its_remedy() {
     let cases = [
         (
             "version: 1\nidentity: a\nlinks: [{to: '127.0.0.1:31415'}]\n",
