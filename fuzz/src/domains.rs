@@ -39,7 +39,7 @@ impl Domain {
         let statement = issue(switch.key(), &claims).expect("a statement");
         let invited = token.admit(switch.name(), 0, serial).expect("a membership");
         let host = Host { proof: switch.proof(), statement, membership: invited.clone() };
-        let revocation = Revocation { name: domain, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
+        let revocation = Revocation { name: domain, number: 3, floor: 2, revoked: vec![4, 1 << 60], signer: None };
         Self {
             papers: Credentials {
                 membership: Membership::issue(&home, &member).expect("a membership"),

@@ -189,7 +189,7 @@ impl Credentials {
             borders: vec![border],
             lifetime: 180,
         };
-        let revocation = Revocation { name, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
+        let revocation = Revocation { name, number: 3, floor: 2, revoked: vec![4, 1 << 60], signer: None };
         Self {
             ad_cert: issue(&owner, &ad_cert).expect("a certificate").into(),
             grant: Reading {

@@ -1,14 +1,19 @@
 //! Follows the directory of the trust domain. What its members share with this proxy, or it with
-//! them, is then exposed and imported without a section of its own in the configuration.
+//! them, is then exposed and imported without a section of its own in the configuration. A renewed
+//! membership of this proxy comes with the directory.
 
 use std::collections::BTreeSet;
 use std::convert::Infallible;
+use std::path::Path;
 use std::sync::Arc;
 
+use anyhow::Context as _;
 use gdp::{Node, NodeError, SubscribeOptions};
-use gdp_core::cert::Reading;
+use gdp_core::cert::{CertError, Membership, Reading};
+use gdp_core::secret_file;
 use gdp_directory::DIRECTORY;
-use gdp_directory::directory::{Directory, Member};
+use gdp_directory::directory::{Directory, DirectoryError, Member};
+use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use tokio::sync::watch;
@@ -34,7 +39,8 @@ pub struct SharedByDirectory {
 /// Reads the directory, forever, and reports each change. Without a directory it does nothing,
 /// forever. The members of the last directory stay while its publisher is away.
 pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &watch::Sender<Members>) -> Infallible {
-    let Some(DirectoryMaterial { card, domain, grant, file }) = material else { return std::future::pending().await };
+    let Some(material) = material else { return std::future::pending().await };
+    let DirectoryMaterial { card, domain, membership, grant, file } = material;
     let status = RouteStatus::new("directory".into(), card.name(), None);
     let (mut right, mut pause) = (Right::read(grant, file), RETRY);
     loop {
@@ -48,7 +54,7 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
                     tokio::select! {
                         message = subscription.recv() => match message {
                             Some(message) if message.encoding == DIRECTORY => {
-                                take(&message.body, domain, node.name(), members);
+                                take(&message.body, domain, node.name(), &membership, members);
                             }
                             Some(_) => {}
                             None => break NodeError::from(subscription.ended().await),
@@ -63,12 +69,20 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
     }
 }
 
-fn take(body: &[u8], domain: Name, own: Name, members: &watch::Sender<Members>) {
-    // Each member has signatures to verify.
-    let read = || Ok(Directory::from_bytes(body)?.members(domain, own, unix_seconds()));
-    let read: Result<Vec<Member>, gdp_directory::directory::DirectoryError> = run_blocking_if_large(body.len(), read);
-    match read {
-        Ok(read) => {
+fn take(body: &[u8], domain: Name, own: Name, file: &Path, members: &watch::Sender<Members>) {
+    let now = unix_seconds();
+    let read = || -> Result<_, DirectoryError> {
+        let directory = Directory::from_bytes(body)?;
+        // Each member has signatures to verify.
+        Ok((directory.members(domain, own, now), directory.membership_of(own, domain, now).cloned()))
+    };
+    match run_blocking_if_large(body.len(), read) {
+        Ok((read, membership)) => {
+            if let Some(membership) = membership
+                && let Err(error) = store_newer(&membership, file)
+            {
+                tracing::error!("the renewed membership is not stored: {error:#}");
+            }
             members.send_if_modified(|known| {
                 let is_new = **known != *read;
                 if is_new {
@@ -79,6 +93,20 @@ fn take(body: &[u8], domain: Name, own: Name, members: &watch::Sender<Members>) 
         }
         Err(error) => tracing::warn!("the directory of the domain is not taken: {error}"),
     }
+}
+
+/// Replaces the membership in `file`, whose watcher then shows it to the switch, by a newer one.
+fn store_newer(membership: &Membership, file: &Path) -> anyhow::Result<()> {
+    let age = |membership: &Membership| -> Result<_, CertError> {
+        Ok((membership.serial_unverified()?, membership.until_unverified()?))
+    };
+    let known = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    let known = Membership::from_pem(&known).with_context(|| file.display().to_string())?;
+    if age(membership)? > age(&known)? {
+        secret_file::replace(file, membership.to_pem().as_bytes())?;
+        tracing::info!("the membership is renewed, {}", relative(membership.until_unverified()?, unix_seconds()));
+    }
+    Ok(())
 }
 
 /// Returns what the members share with the proxy `own`, and it with them.

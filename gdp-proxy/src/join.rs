@@ -12,13 +12,14 @@ use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{
-    AdCert, BACKDATED, Delegation, Enrollment, Grantee, Issued, Membership, ReadGrant, Signed, TopicsOf, issue,
+    AdCert, BACKDATED, Claims as _, Delegation, Enrollment, Grantee, Issued, Membership, ReadGrant, Signed, TopicsOf,
+    issue,
 };
 use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
-use gdp_directory::{JOIN, SERVER, fingerprint, join_card};
+use gdp_directory::{JOIN, SERVER, directory_card, fingerprint, join_card};
 use gdp_util::escape::escape_json;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use gdp_wire::Name;
@@ -38,8 +39,16 @@ const APPLY_AGAIN: Duration = Duration::from_secs(2);
 const SOON: Duration = Duration::from_millis(100);
 
 /// Files that end with the membership.
-const MEMBER_FILES: [&str; 7] =
-    ["proxy.yaml", "membership", "domain.card", "directory.grant", "join.grant", "proxy.pem", "application.pem"];
+const MEMBER_FILES: [&str; 8] = [
+    "proxy.yaml",
+    "membership",
+    "domain.card",
+    "directory.card",
+    "directory.grant",
+    "join.grant",
+    "proxy.pem",
+    "application.pem",
+];
 
 /// Files of a member in its folder.
 pub struct Home {
@@ -136,7 +145,8 @@ impl Home {
         let node = connect(token, &identity, membership).await?;
         say(format!("Asks to join as {}. Fingerprint: {}", application.label, fingerprint(identity.name())));
         say("Waits for approval: `gdp-ctl robots` on the domain's server shows the same fingerprint.".into());
-        let card = join_card(token.domain().verify_key()?)?;
+        let service = enrolling.enrollment.claims_unverified()?.join_service;
+        let card = join_card(service)?;
         let request = JoinRequest::Apply(Box::new(application));
         let approval = loop {
             let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
@@ -150,7 +160,7 @@ impl Home {
         node.close().await;
         let Approval { invite, enrollment, call } = approval;
         let approved = Token::new(*token.domain(), invite, key, token.at().clone(), token.switch())?;
-        Ok(approved.enroll(Enrolling { enrollment, call })?)
+        Ok(approved.with_successor(token.successor()).enroll(Enrolling { enrollment, call })?)
     }
 
     /// Joins with an invitation of this machine's own.
@@ -159,15 +169,15 @@ impl Home {
         let Some(enrolling) = token.enrolling() else {
             bail!("this invitation admits a member and enrolls no topics: use it with `gdp-ctl domain join`");
         };
-        let domain_key = token.domain().verify_key()?;
-        let enrollment = enrolling.enrollment.verify(&domain_key, unix_seconds())?;
+        let enrollment = enrolling.enrollment.verify_for_name(token.domain())?;
+        enrollment.check_time(unix_seconds())?;
         let identity = Identity::load_or_generate(&self.file("proxy.pem"), "proxy")?;
         let membership = self.membership(token, &identity)?;
         let catalog = Some(self.catalog(identity.name(), &enrollment)?);
         let request = Join { membership: membership.clone(), enrollment: enrolling.enrollment.clone(), catalog };
 
         let node = connect(token, &identity, membership).await?;
-        let card = join_card(domain_key)?;
+        let card = join_card(enrollment.join_service)?;
         let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
         let reply = ask(&node, &card, call, &JoinRequest::Join(Box::new(request))).await;
         node.close().await;
@@ -180,6 +190,7 @@ impl Home {
             _ => bail!("the join service answers another question"),
         }
         write(&self.file("domain.card"), &token.domain_card()?.to_json())?;
+        write(&self.file("directory.card"), &directory_card(enrollment.join_service)?.to_json())?;
         let config = configuration(token, &enrollment);
         Config::parse(&config, &self.config())?;
         write(&self.config(), &config)?;
@@ -191,7 +202,7 @@ impl Home {
     /// files stay if the domain does not confirm it.
     pub async fn leave(&self, force: bool) -> Result<Vec<String>> {
         let config = Config::load(&self.config())?;
-        let domain = NameCard::load(&self.file("domain.card"))?;
+        let directory = NameCard::load(&self.file("directory.card"))?;
         let identity = Identity::new(SigningKey::load(&self.file("proxy.pem"))?, "proxy");
         let membership = fs::read_to_string(self.file("membership")).context("membership")?;
         let call = fs::read_to_string(self.file("join.grant")).context("join.grant")?;
@@ -201,7 +212,7 @@ impl Home {
         let node = NodeConfig { links, credentials: Some(credentials), ..NodeConfig::new(identity, first) };
         let notified = match Node::connect(node).await {
             Ok(node) => {
-                let card = join_card(*domain.owner_key())?;
+                let card = join_card(*directory.owner_key())?;
                 let reply = ask(&node, &card, Issued::from_pem(&call)?, &JoinRequest::Leave).await;
                 node.close().await;
                 reply.and_then(|reply| match reply {
@@ -357,7 +368,7 @@ fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let export = if enrollment.label == SERVER { ", export: true" } else { "" };
     format!(
         "version: 1\nidentity: proxy.pem\nlinks: [{{to: {to}{switch}}}]\nstate: state\n\
-         domain: {{card: domain.card, membership: membership}}\ndirectory: {{grant: directory.grant{export}}}\n\
+         domain: {{card: domain.card, membership: membership}}\ndirectory: {{card: directory.card, grant: directory.grant{export}}}\n\
          expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]}}\n"
     )
 }

@@ -7,7 +7,7 @@ pub use crate::material_error::{MaterialError, with_path};
 pub use crate::permission::{Permission, check_permission, load_permission};
 pub use crate::route_material::{RouteMaterial, carded_type};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::Reading;
@@ -54,11 +54,13 @@ pub struct ImportMaterial {
     pub(crate) file: Renewal,
 }
 
-/// The card of the domain's directory, the domain, and the grant to read the directory.
+/// The card of the domain's directory, the domain, the file of this proxy's membership, and the
+/// grant to read the directory.
 #[derive(Clone)]
 pub struct DirectoryMaterial {
     pub card: NameCard,
     pub domain: Name,
+    pub membership: PathBuf,
     pub grant: Reading,
     pub(crate) file: Renewal,
 }
@@ -188,14 +190,17 @@ fn load_directory(
     watcher: &FileWatcher,
 ) -> Result<Option<DirectoryMaterial>, MaterialError> {
     let (Some(directory), Some(domain)) = (&config.directory, &config.domain) else { return Ok(None) };
+    let load = |key: &str, path: &PathBuf| {
+        let wrong = |error| MaterialError { key: key.into(), reason: with_path(error, path) };
+        NameCard::load(path).map_err(wrong)
+    };
+    let (card, of) = (load("directory.card", &directory.card)?, load("domain.card", &domain.card)?.name());
     let wrong = |reason| MaterialError { key: "directory.grant".into(), reason };
-    let owner = NameCard::load(&domain.card).map_err(|error| wrong(with_path(error, &domain.card)))?;
-    let card = gdp_directory::directory_card(*owner.owner_key()).map_err(|error| wrong(error.to_string()))?;
     let opened = CertFile::open(&directory.grant, Side::In, "the directory", &card, entity, watcher);
     match opened.map_err(|error| wrong(with_path(error, &directory.grant)))? {
         (file, Permission::Read(grant)) => {
-            let (domain, file) = (owner.name(), Renewal::File(file.into()));
-            Ok(Some(DirectoryMaterial { card, domain, grant, file }))
+            let (membership, file) = (domain.membership.clone(), Renewal::File(file.into()));
+            Ok(Some(DirectoryMaterial { card, domain: of, membership, grant, file }))
         }
         (_, Permission::Publish(_)) => Err(wrong("is a permission to publish".into())),
     }

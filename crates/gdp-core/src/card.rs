@@ -93,6 +93,11 @@ impl NameCard {
         NameProof { owner_key: *self.owner_key.as_bytes(), digest: name::inner_digest(&self.metadata) }
     }
 
+    /// Returns the key that a domain's card names as the successor of its owner's.
+    pub fn successor(&self) -> Option<VerifyKey> {
+        self.metadata.get(name::SUCCESSOR)?.parse().ok()
+    }
+
     pub fn owner_key(&self) -> &VerifyKey {
         &self.owner_key
     }

@@ -2,6 +2,7 @@
 //! 0600. They never appear in a log and stay in memory no longer than their owner. A line before
 //! the PEM block, such as `kind: proxy`, states the kind of the entity that the key is for.
 
+use crate::card::NameCard;
 use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer};
 use crate::file_kind::FileKind;
 use crate::keys::BoxKey;
@@ -199,6 +200,13 @@ impl Identity {
         let proof = NameProof { owner_key: key.public(), digest: name::inner_digest(&metadata) };
         let name = name::derive(&proof.owner_key, &proof.digest);
         Self { key, metadata, proof, name }
+    }
+
+    /// Returns the identity of the domain with this card, if `key` may sign for it: as its owner's,
+    /// or as that of the successor.
+    pub fn of_domain(key: SigningKey, card: &NameCard) -> Option<Self> {
+        let (proof, name) = (card.proof(), card.name());
+        proof.is_signer(&key.verify_key()).then(|| Self { key, metadata: card.metadata().clone(), proof, name })
     }
 
     pub fn generate(kind: &str) -> Result<Self, CryptoError> {

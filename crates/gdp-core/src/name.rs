@@ -61,6 +61,17 @@ fn push_string(json: &mut String, text: &str) {
     json.push('"');
 }
 
+/// Key of a domain's metadata with the public key of its successor.
+pub const SUCCESSOR: &str = "successor";
+
+/// Returns the metadata of a domain. They may name the key that succeeds the owner's when that is
+/// lost.
+pub fn domain_metadata(successor: Option<&VerifyKey>) -> Metadata {
+    let kind = ("kind".to_owned(), "domain".to_owned());
+    let successor = successor.map(|key| (SUCCESSOR.to_owned(), key.to_string()));
+    [kind].into_iter().chain(successor).collect()
+}
+
 /// Proof of a name's derivation that does not reveal the metadata.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -73,6 +84,12 @@ pub struct NameProof {
 }
 
 impl NameProof {
+    /// Whether `key` signs for this name: it is the owner's, or the name is of a domain whose
+    /// metadata name it as successor.
+    pub fn is_signer(&self, key: &VerifyKey) -> bool {
+        *key.as_bytes() == self.owner_key || inner_digest(&domain_metadata(Some(key))) == self.digest
+    }
+
     /// Returns the proven name. Refuses an owner key that is not a point on the curve, because
     /// nobody could sign for its names.
     pub fn name(&self) -> Result<Name, CryptoError> {

@@ -42,12 +42,7 @@ pub struct Origin {
 impl SignedRevocation {
     /// Verifies the owner's signature and returns the claims.
     pub fn verify(&self) -> Result<Revocation, CertError> {
-        let (name, key) = (self.proof.name()?, self.proof.verify_key()?);
-        let claims = self.revocation.verify(&key, 0)?;
-        if claims.name != name {
-            return Err(CertError::WrongName { expected: name, got: claims.name });
-        }
-        Ok(claims)
+        self.revocation.verify_revocation(&self.proof)
     }
 }
 

@@ -40,6 +40,16 @@ pub struct Used {
     pub until: u64,
 }
 
+/// The membership that an entity shows with an invitation.
+#[derive(Clone, Copy, Debug)]
+pub struct Admitted {
+    pub entity: Name,
+    /// The end of the membership in Unix seconds.
+    pub until: u64,
+    /// Whether the domain has renewed it.
+    pub is_renewed: bool,
+}
+
 /// The used invitations of this domain. The RIB decides by them, and switches cache its decisions.
 #[derive(Debug, Default)]
 pub struct Invitations(BTreeMap<u64, Used>);
@@ -77,31 +87,35 @@ impl Invitations {
         self.0.get(&serial)
     }
 
-    /// Returns whether this invitation is known to have admitted this entity.
-    pub fn has_admitted(&self, serial: u64, entity: &Name) -> bool {
-        self.0.get(&serial).is_some_and(|used| used.entity == *entity)
+    /// Returns whether this invitation is known to have admitted this entity until this time.
+    pub fn has_admitted(&self, serial: u64, entity: &Name, until: u64) -> bool {
+        self.0.get(&serial).is_some_and(|used| used.entity == *entity && used.until >= until)
     }
 
     /// Decides about an admission as the RIB does: a valid invitation admits the first entity, or
-    /// every applicant. Returns whether the admission is new.
-    pub fn admit(&mut self, invite: &Invite, entity: Name, now: u64) -> Result<bool, NotInvited> {
+    /// every applicant. A renewal proves that the domain has admitted the entity before. Returns
+    /// whether the admission is new or lasts longer than was known.
+    pub fn admit(&mut self, invite: &Invite, admitted: Admitted, now: u64) -> Result<bool, NotInvited> {
         let serial = invite.serial;
         if invite.role == roles::APPLICANT {
             return Ok(false);
         }
         match self.0.get(&serial) {
-            Some(used) if used.entity == entity => return Ok(false),
-            Some(used) => return Err(NotInvited::Used { serial, by: used.entity }),
-            None if now > invite.not_after => {
+            Some(used) if used.entity == admitted.entity && used.until >= admitted.until => return Ok(false),
+            Some(used) if used.entity != admitted.entity => {
+                return Err(NotInvited::Used { serial, by: used.entity });
+            }
+            Some(_) => {}
+            None if now > invite.not_after && !admitted.is_renewed => {
                 return Err(NotInvited::TooLate { serial, at: invite.not_after, now });
             }
             None => {}
         }
         self.0.retain(|_, used| used.until >= now);
-        if self.0.len() >= MAX_USED {
+        if self.0.len() >= MAX_USED && !self.0.contains_key(&serial) {
             return Err(NotInvited::Full);
         }
-        self.remember(invite, entity);
+        self.remember(invite, admitted);
         Ok(true)
     }
 
@@ -111,8 +125,8 @@ impl Invitations {
     }
 
     /// Records an admission that the RIB has decided.
-    pub fn remember(&mut self, invite: &Invite, entity: Name) {
-        self.take(Used { serial: invite.serial, entity, until: invite.member_until });
+    pub fn remember(&mut self, invite: &Invite, Admitted { entity, until, .. }: Admitted) {
+        self.take(Used { serial: invite.serial, entity, until: until.max(invite.member_until) });
     }
 
     /// Records a stored admission, if there is room.

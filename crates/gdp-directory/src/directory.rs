@@ -117,6 +117,18 @@ impl Directory {
     }
 }
 
+impl Directory {
+    /// Returns the newest membership of `entity` in `domain` that holds at `now` (Unix seconds).
+    pub fn membership_of(&self, entity: Name, domain: Name, now: u64) -> Option<&Membership> {
+        let is_of = |membership: &&Membership| {
+            let stated = membership.cert.claims_unverified().is_ok_and(|claims| claims.entity == entity);
+            stated && membership.verify(domain, None, now).is_ok_and(|claims| claims.entity == entity)
+        };
+        let memberships = self.entries.iter().map(|entry| &entry.membership).filter(is_of);
+        memberships.max_by_key(|membership| membership.serial_unverified().unwrap_or_default())
+    }
+}
+
 impl MemberEntry {
     fn member(&self, domain: Name, reader: Name, now: u64) -> Option<Member> {
         let (entity, enrollment) = self.enrollment.verify_for(domain, &self.membership, now).ok()?;

@@ -22,18 +22,18 @@ pub const DIRECTORY: Encoding = Encoding::Other(0x4744);
 /// Encoding number of a request to the join service, and of its reply.
 pub const JOIN: Encoding = Encoding::Other(0x474a);
 
-/// Returns the card of a domain's directory. The domain itself owns the name.
-pub fn directory_card(domain: VerifyKey) -> Result<NameCard, CardError> {
-    card(domain, "directory")
+/// Returns the card of a domain's directory. The key of the join service owns the name.
+pub fn directory_card(join_service: VerifyKey) -> Result<NameCard, CardError> {
+    card(join_service, "directory")
 }
 
-/// Returns the card of a domain's join service. The domain itself owns the name.
-pub fn join_card(domain: VerifyKey) -> Result<NameCard, CardError> {
-    card(domain, "join")
+/// Returns the card of a domain's join service, whose key owns the name.
+pub fn join_card(join_service: VerifyKey) -> Result<NameCard, CardError> {
+    card(join_service, "join")
 }
 
-fn card(domain: VerifyKey, kind: &str) -> Result<NameCard, CardError> {
-    NameCard::new(domain, Metadata::from([("kind".to_owned(), kind.to_owned())]))
+fn card(owner: VerifyKey, kind: &str) -> Result<NameCard, CardError> {
+    NameCard::new(owner, Metadata::from([("kind".to_owned(), kind.to_owned())]))
 }
 
 /// Returns the rules by which a member imports topics from the server.

@@ -1,15 +1,18 @@
 //! The join service without I/O: it verifies requests, keeps the members, and makes the directory.
 //!
-//! Its own key cannot admit or enroll anybody: members verify the domain's signatures. The key can
-//! let members read the directory and the lists of topics that members delegate to it.
+//! Its own key cannot admit or enroll anybody: members verify the domain's signatures. The key
+//! renews members, and lets them read the directory and the lists of topics that they delegate to
+//! it. It owns the names of the directory and of the service.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use gdp_core::card::{CardError, NameCard};
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
 use gdp_core::cert::enrollment::{check_label, check_lists};
 use gdp_core::cert::{
-    BACKDATED, CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, Revocation, Signed, issue,
+    BACKDATED, CertError, Claims as _, Delegation, Enrollment, Issued, Membership, ReadGrant, RenewalDelegation,
+    Revocation, Signed, issue,
 };
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
@@ -18,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::directory::{Directory, MAX_DIRECTORY, MAX_MEMBERS, MAX_METADATA, Member, MemberEntry};
 use crate::entity;
 use crate::messages::{Application, Decision, Join, JoinReply, JoinRequest, OfferedCatalog};
+use crate::{directory_card, join_card};
 
 /// Validity in seconds of the grants for catalogs. They are issued again after half of it.
 const GRANT_LIFETIME: u64 = 24 * 3600;
@@ -35,7 +39,6 @@ const MAX_APPLICATIONS: usize = 64;
 pub struct JoinService {
     key: SigningKey,
     domain: Name,
-    delegations: Delegations,
     members: BTreeMap<Name, Enrolled>,
     /// Serials of members that have left.
     left: BTreeSet<u64>,
@@ -45,6 +48,8 @@ pub struct JoinService {
     grants: BTreeMap<(Name, Name), IssuedGrant>,
     /// The newest enrollments that the domain's key signed, by the serial of the member.
     newest: BTreeMap<u64, Signed<Enrollment>>,
+    /// What the domain lets this service renew, by the serial of the member.
+    renewals: BTreeMap<u64, Signed<RenewalDelegation>>,
     revocation: Option<Revocation>,
     applications: Applications,
     decisions: BTreeMap<Name, Decision>,
@@ -52,15 +57,6 @@ pub struct JoinService {
 
 /// The applications that wait, by the applicant's entity.
 pub type Applications = BTreeMap<Name, Application>;
-
-/// What the domain lets the key of the join service grant.
-#[derive(Clone, Debug)]
-pub struct Delegations {
-    /// To read the directory.
-    pub directory: Signed<Delegation>,
-    /// To call the join service.
-    pub join: Signed<Delegation>,
-}
 
 /// A member as the join service stores it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,18 +88,21 @@ pub struct MemberRow {
     pub entity: Name,
     pub enrollment: Enrollment,
     pub catalog: Option<Name>,
+    pub role: String,
+    /// End of the membership without a further renewal, in Unix seconds.
+    pub until: u64,
 }
 
 impl JoinService {
-    pub fn new(key: SigningKey, domain: Name, delegations: Delegations) -> Self {
-        let (members, grants, newest, left, changed) = Default::default();
+    pub fn new(key: SigningKey, domain: Name) -> Self {
+        let (members, grants, newest, renewals, left, changed) = Default::default();
         Self {
             key,
             domain,
-            delegations,
             members,
             grants,
             newest,
+            renewals,
             left,
             changed,
             revocation: None,
@@ -147,6 +146,47 @@ impl JoinService {
         let is_member = replaced.map(|enrolled| enrolled.enrollment = enrollment.clone()).is_some();
         self.newest.insert(claims.member, enrollment);
         is_member
+    }
+
+    /// Takes a membership that the domain's key signed in exchange for that of a member, whose new
+    /// enrollment was taken before. Returns true if it replaces one.
+    pub fn readmit(&mut self, membership: Membership) -> bool {
+        let Ok(claims) = membership.verify_signatures(self.domain) else { return false };
+        let (Some(enrolled), Some(enrollment)) =
+            (self.members.get_mut(&claims.entity), self.newest.get(&claims.serial))
+        else {
+            return false;
+        };
+        if enrolled.membership.serial_unverified().is_ok_and(|known| known >= claims.serial) {
+            return false;
+        }
+        (enrolled.membership, enrolled.enrollment) = (membership, enrollment.clone());
+        true
+    }
+
+    /// Takes what the domain lets this service renew.
+    pub fn delegate(&mut self, renewal: Signed<RenewalDelegation>) {
+        if let Ok(claims) = renewal.claims_unverified() {
+            self.renewals.insert(claims.member, renewal);
+        }
+    }
+
+    /// Renews the memberships of which half has passed at `now` (Unix nanoseconds). Members take
+    /// theirs from the directory. Returns true if there are any.
+    pub fn renew_due(&mut self, now: u64) -> bool {
+        let mut renewed = false;
+        for enrolled in self.members.values_mut() {
+            let Ok(claims) = enrolled.enrollment.claims_unverified() else { continue };
+            let Some(delegation) = self.renewals.get(&claims.member) else { continue };
+            let is_due = enrolled.membership.is_half_over(now / 1_000_000_000).unwrap_or(false);
+            if let Some(membership) =
+                is_due.then(|| enrolled.membership.renew(&self.key, delegation, now).ok()).flatten()
+            {
+                enrolled.membership = membership;
+                renewed = true;
+            }
+        }
+        renewed
     }
 
     /// Takes the applications that were stored.
@@ -199,7 +239,7 @@ impl JoinService {
     }
 
     fn join(&mut self, caller: Name, join: Join, now: u64) -> Result<JoinReply, String> {
-        let Join { membership, mut enrollment, catalog } = join;
+        let Join { mut membership, mut enrollment, catalog } = join;
         let said = |error: CertError| error.to_string();
         let (_, invited) = enrollment.verify_for(self.domain, &membership, now / 1_000_000_000).map_err(said)?;
         // The domain may have signed other topics since the invitation.
@@ -223,14 +263,22 @@ impl JoinService {
         if let Some((other, _)) = self.members.iter().find(|(entity, enrolled)| **entity != caller && same(enrolled)) {
             return Err(format!("the invitation has enrolled {other:#}, and it enrolls one; have another one made"));
         }
+        if let Some(known) = self.members.get(&caller).filter(|known| same(known)) {
+            let until = |membership: &Membership| membership.until_unverified().map_err(said);
+            if until(&known.membership)? > until(&membership)? {
+                membership = known.membership.clone();
+            }
+        }
         if let Some(catalog) = &catalog {
             check_catalog(catalog, caller, &claims, self.key.verify_key(), now / 1_000_000_000)?;
         }
         self.change(caller, Enrolled { membership, enrollment, catalog }, now)?;
-        let until = claims.not_after;
-        let directory = self.grant(&self.delegations.directory, caller, until, now).map_err(said)?.into();
-        let call = self.grant(&self.delegations.join, caller, until, now).map_err(said)?.into();
-        Ok(JoinReply::Joined { directory, call })
+        let key = self.key.verify_key();
+        let grant = |card: Result<NameCard, CardError>| {
+            let name = card.map_err(|error| error.to_string())?.name();
+            Ok::<_, String>(Box::new(self.issue(name, caller, now, claims.not_after, now).map_err(said)?.into()))
+        };
+        Ok(JoinReply::Joined { directory: grant(directory_card(key))?, call: grant(join_card(key))? })
     }
 
     /// Replaces the entry of a member, if the directory then still has its bounds.
@@ -304,10 +352,12 @@ impl JoinService {
 
     /// Returns the members whose certificates hold at `now` (Unix seconds).
     pub fn rows(&self, now: u64) -> Vec<MemberRow> {
-        let row = |(Member { entity, enrollment, catalog, .. }, _)| MemberRow {
+        let row = |(Member { entity, enrollment, catalog, .. }, enrolled): (Member, Enrolled)| MemberRow {
             entity,
             enrollment,
             catalog: catalog.map(|card| card.name()),
+            role: enrolled.membership.cert.claims_unverified().map(|claims| claims.role).unwrap_or_default(),
+            until: enrolled.membership.until_unverified().unwrap_or_default(),
         };
         self.members(now).into_iter().map(row).collect()
     }
@@ -330,11 +380,21 @@ impl JoinService {
         now: u64,
     ) -> Result<Issued<ReadGrant>, CertError> {
         let delegated = delegation.claims_unverified()?;
-        let (name, to, serial) = (delegated.name, entity(to), now.max(delegated.serial));
-        let not_before = (now / 1_000_000_000).saturating_sub(BACKDATED);
-        let not_after = not_after.min(delegated.validity().not_after);
-        let cert = issue(&self.key, &ReadGrant { name, to, serial, not_before, not_after })?;
+        let (serial, not_after) = (now.max(delegated.serial), not_after.min(delegated.validity().not_after));
+        let cert = self.issue(delegated.name, to, serial, not_after, now)?;
         Ok(Issued { cert, delegation: Some(delegation.clone()) })
+    }
+
+    fn issue(
+        &self,
+        name: Name,
+        to: Name,
+        serial: u64,
+        not_after: u64,
+        now: u64,
+    ) -> Result<Signed<ReadGrant>, CertError> {
+        let not_before = (now / 1_000_000_000).saturating_sub(BACKDATED);
+        issue(&self.key, &ReadGrant { name, to: entity(to), serial, not_before, not_after })
     }
 }
 

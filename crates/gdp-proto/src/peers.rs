@@ -147,7 +147,7 @@ impl Counterparts {
         }
         let mut events = Vec::new();
         match (&peers.revocation, &self.revocation) {
-            (Some(signed), _) => self.revoke(now, signed, &mut events),
+            (Some(signed), _) => self.revoke(signed, &mut events),
             (None, Some((held, _))) if begins => events.push(PeerEvent::RibIsBehind(held.clone())),
             (None, _) => {}
         }
@@ -237,13 +237,8 @@ impl Counterparts {
         (newer && in_order).then_some(())
     }
 
-    fn revoke(&mut self, now: u64, signed: &Signed<Revocation>, events: &mut Vec<PeerEvent>) {
-        let verified = self.proof.verify_key().map_err(CertError::from).and_then(|key| signed.verify(&key, now));
-        let verified = verified.and_then(|claims| match claims.name == self.name {
-            true => Ok(claims),
-            false => Err(CertError::WrongName { expected: self.name, got: claims.name }),
-        });
-        let claims = match verified {
+    fn revoke(&mut self, signed: &Signed<Revocation>, events: &mut Vec<PeerEvent>) {
+        let claims = match signed.verify_revocation(&self.proof) {
             Ok(claims) => claims,
             Err(error) => return events.push(PeerEvent::Refused(error)),
         };

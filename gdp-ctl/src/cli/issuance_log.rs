@@ -123,10 +123,7 @@ pub fn newest_revocation(card: &NameCard, path: &Path) -> anyhow::Result<Option<
     let Some(content) = secret_file::read_optional(path, MAX_REVOCATION)? else { return Ok(None) };
     let check = || -> anyhow::Result<_> {
         let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
-        let claims = signed.verify_signature(card.owner_key())?;
-        if claims.name != card.name() {
-            bail!("it is of {}, not of {}", claims.name, card.name());
-        }
+        let claims = signed.verify_revocation(&card.proof())?;
         Ok((signed, claims))
     };
     check().map(Some).with_context(|| path.display().to_string())

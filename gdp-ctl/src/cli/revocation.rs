@@ -123,7 +123,7 @@ pub fn next<E: Entry>(
             revoked.len()
         );
     }
-    Ok(Revocation { name, number, floor, revoked })
+    Ok(Revocation { name, number, floor, revoked, signer: known.and_then(|known| known.signer) })
 }
 
 /// Returns the time as the serial, or the next serial above all issued or revoked ones if the clock

@@ -17,7 +17,7 @@ use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 52] = [
+const OUTPUTS: [(&str, Of); 53] = [
     ("error", of::<FailureOutput>),
     ("invite", of::<home::InviteOutput>),
     ("approve", of::<home::DecisionOutput>),
@@ -27,6 +27,7 @@ const OUTPUTS: [(&str, Of); 52] = [
     ("apply", of::<home::ApplyOutput>),
     ("admin backup", of::<home::BackupOutput>),
     ("admin restore", of::<home::BackupOutput>),
+    ("admin rotate", of::<home::RotationOutput>),
     ("admin log", of::<home::LogOutput>),
     ("status", of::<StatusReply>),
     ("link list", of::<LinksReply>),

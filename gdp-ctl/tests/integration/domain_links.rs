@@ -352,7 +352,7 @@ impl Domain {
     fn try_revoke(&self, place: &Place, number: u64, serials: &[u64]) -> Result<(), String> {
         let mut revoked = serials.to_vec();
         revoked.sort_unstable();
-        let claims = Revocation { name: self.identity.name(), number, floor: 0, revoked };
+        let claims = Revocation { name: self.identity.name(), number, floor: 0, revoked, signer: None };
         let revocation = issue(self.identity.key(), &claims).unwrap();
         let request = EntityRequest::Revoke { proof: self.identity.proof(), revocation };
         let socket = place.file("switch.sock");

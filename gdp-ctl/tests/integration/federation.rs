@@ -312,7 +312,7 @@ fn query(place: &Place, name: Name) -> Vec<Record> {
 
 fn revoke(domain: &Domain, at: &Place, cert: &Signed<PeerCert>) {
     let serial = cert.claims_unverified().unwrap().serial;
-    let claims = Revocation { name: domain.identity.name(), number: 1, floor: 0, revoked: vec![serial] };
+    let claims = Revocation { name: domain.identity.name(), number: 1, floor: 0, revoked: vec![serial], signer: None };
     let revocation = issue(domain.identity.key(), &claims).unwrap();
     assert!(matches!(ask(at, EntityRequest::Revoke { proof: domain.identity.proof(), revocation }), Response::Done));
 }

@@ -210,7 +210,8 @@ fn a_revocation_is_published_where_a_daemon_answers() {
     let refused = user.refusal(1, &["grant", "revoke", "chatter.card"]);
     assert!(refused.contains("--all") && refused.contains("rolled back"), "{refused}");
 
-    let expected = Revocation { name: card.name(), number: 1, floor: 0, revoked: vec![serial.parse().unwrap()] };
+    let expected =
+        Revocation { name: card.name(), number: 1, floor: 0, revoked: vec![serial.parse().unwrap()], signer: None };
     for request in daemon.join().unwrap() {
         let Request::Entity { entity: None, request } = request else { panic!("{request:?}") };
         let EntityRequest::Revoke { proof: shown, revocation } = *request else { panic!("{request:?}") };
@@ -244,7 +245,9 @@ fn what_was_tampered_with_is_not_believed() {
     let ours = std::fs::read_to_string(&file).unwrap();
     let name = Signed::<Revocation>::from_pem(&ours).unwrap().claims_unverified().unwrap().name;
     let stranger = gdp_core::identity::SigningKey::generate().unwrap();
-    let forged = gdp_core::cert::issue(&stranger, &Revocation { name, number: 9, floor: 0, revoked: vec![] }).unwrap();
+    let forged =
+        gdp_core::cert::issue(&stranger, &Revocation { name, number: 9, floor: 0, revoked: vec![], signer: None })
+            .unwrap();
     for (what, text, needle) in
         [("another's", forged.to_pem(), "wrong key"), ("no revocation", "junk".into(), "chatter.card.revocation")]
     {

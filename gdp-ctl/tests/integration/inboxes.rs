@@ -58,7 +58,7 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     assert!(matches!(robot.ask(EntityRequest::KeyBoxes { boxes: vec![key_box.clone()] }).await, Response::Done));
     assert_eq!(cloud.told().await, [PeerEvent::KeyBox(key_box)]);
 
-    let revocation = Revocation { name, number: 1, floor: 0, revoked: vec![serial] };
+    let revocation = Revocation { name, number: 1, floor: 0, revoked: vec![serial], signer: None };
     let request = EntityRequest::Revoke { proof, revocation: issue(&owner, &revocation).unwrap() };
     assert!(matches!(robot.ask(request).await, Response::Done));
     assert_eq!(cloud.told().await[0], PeerEvent::Revoked(revocation.clone()), "who is revoked knows why");

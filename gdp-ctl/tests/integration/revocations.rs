@@ -113,7 +113,7 @@ impl Owner {
     fn revocation(&self, number: u64, serial: u64) -> EntityRequest {
         let mut revoked = vec![1, serial];
         revoked.dedup();
-        let claims = Revocation { name: self.card.name(), number, floor: 0, revoked };
+        let claims = Revocation { name: self.card.name(), number, floor: 0, revoked, signer: None };
         EntityRequest::Revoke { proof: self.card.proof(), revocation: issue(&self.key, &claims).unwrap() }
     }
 }

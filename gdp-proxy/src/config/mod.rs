@@ -156,6 +156,8 @@ pub struct DomainConfig {
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DirectoryConfig {
+    /// The card of the directory's name.
+    pub card: PathBuf,
     /// The grant to read the directory.
     pub grant: PathBuf,
     /// Exposes what other members import from this one: `/LABEL/TOPIC`, with the other's label. The
@@ -384,7 +386,7 @@ impl Config {
             let DomainConfig { card, membership, peers } = domain;
             [card, membership].into_iter().chain(peers)
         });
-        let directory = self.directory.iter_mut().map(|directory| &mut directory.grant);
+        let directory = self.directory.iter_mut().flat_map(|directory| [&mut directory.card, &mut directory.grant]);
         let relay =
             self.relay.iter_mut().flat_map(|relay| [&mut relay.identity].into_iter().chain(&mut relay.membership));
         let topics = self.topics.iter_mut();

@@ -137,7 +137,14 @@ impl Signed<Enrollment> {
     /// Returns the member's entity and the claims. The caller checks revocations.
     pub fn verify_for(&self, domain: Name, membership: &Membership, now: u64) -> Result<(Name, Enrollment), CertError> {
         let member = membership.verify(domain, None, now)?;
-        let claims = self.verify(&membership.domain.verify_key()?, now)?;
+        let claims = self.verify_for_name(&membership.domain)?;
+        claims.check_time(now)?;
+        // A retired key cannot change what its successor's members share.
+        let first = membership.domain.verify_key()?;
+        if self.signer_unverified()? == first && membership.signer_unverified()? != first {
+            let signer = membership.signer_unverified()?.to_string();
+            return Err(CertError::Retired { what: Enrollment::KIND, signer });
+        }
         if claims.domain != domain {
             return Err(CertError::WrongDomain { expected: domain, got: claims.domain });
         }

@@ -77,6 +77,10 @@ pub enum CertError {
     )]
     Revoked { what: &'static str, serial: u64, floor: u64, number: u64 },
     #[error(
+        "signed by a retired key: the {what} must be signed by {signer}, which succeeded it; have a new one issued"
+    )]
+    Retired { what: &'static str, signer: String },
+    #[error(
         "rolled back: revocation {got} does not replace {known}, the highest known; publish one with a higher number"
     )]
     RolledBack { got: u64, known: u64 },

@@ -1,5 +1,5 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949
-//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`switch`], [`statements`] and [`link_state`]
+//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`renewal`], [`switch`], [`statements`] and [`link_state`]
 //! define the claims. [`Signed`] keeps and verifies the exact bytes, and [`issued`] verifies the
 //! chain from a certificate to the owner of its name. [`request`] checks the signatures that a
 //! request needs. The RIB and the receivers of its answers call this module.
@@ -20,6 +20,7 @@ mod link_state;
 mod name_proof;
 mod owner;
 mod pem;
+mod renewal;
 mod request;
 mod signed;
 mod statements;
@@ -33,6 +34,7 @@ pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
 pub use owner::{AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, ReadGrant, Revocation};
+pub use renewal::{MembershipRenewal, RenewalDelegation};
 pub use request::{Requester, Side, authorise_advertise, authorise_subscribe, authorise_withdraw, verify_statement};
 pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, RtCert};

@@ -5,9 +5,9 @@
 //! delegates thus need not agree on serials, and a revocation's floor means "nothing issued before
 //! then".
 
-use super::{Claims, Validity};
+use super::{Claims, Signed, Validity};
 use crate::cert::error::CertError;
-use crate::name::Name;
+use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -194,6 +194,9 @@ pub struct Revocation {
     pub floor: u64,
     /// Revoked serials in ascending order, at most [`MAX_REVOKED`].
     pub revoked: Vec<u64>,
+    /// The only key whose certificates hold, if the successor of a domain's key has replaced it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signer: Option<VerifyKey>,
 }
 
 impl Revocation {
@@ -205,12 +208,25 @@ impl Revocation {
         Ok(())
     }
 
+    /// Checks that the domain's certificates by the key of `signed` still hold.
+    pub fn check_signer<T: Claims>(&self, signed: &Signed<T>) -> Result<(), CertError> {
+        match self.signer {
+            Some(signer) if signed.signer_unverified()? != signer => {
+                Err(CertError::Retired { what: T::KIND, signer: signer.to_string() })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Checks that this revocation may replace `held`. The same one may; an older one, or a
     /// different one with the same number, may not.
     pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
         match held {
             Some(held) if self.number < held.number || self.number == held.number && self != held => {
                 Err(CertError::RolledBack { got: self.number, known: held.number })
+            }
+            Some(Self { signer: Some(signer), .. }) if self.signer != Some(*signer) => {
+                Err(CertError::Retired { what: Self::KIND, signer: signer.to_string() })
             }
             _ => Ok(()),
         }
@@ -237,6 +253,19 @@ impl Claims for Revocation {
             return Err(CertError::Malformed("the revoked serials are not in rising order".into()));
         }
         Ok(())
+    }
+}
+
+impl Signed<Revocation> {
+    /// Verifies that the owner of `name`, or the successor of a domain's key, revoked it.
+    pub fn verify_revocation(&self, name: &NameProof) -> Result<Revocation, CertError> {
+        let claims = self.verify_for_name(name)?;
+        let expected = name.name()?;
+        if claims.name != expected {
+            return Err(CertError::WrongName { expected, got: claims.name });
+        }
+        claims.check_signer(self)?;
+        Ok(claims)
     }
 }
 

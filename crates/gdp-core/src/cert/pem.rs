@@ -5,8 +5,8 @@ use crate::cert::error::CertError;
 use std::collections::VecDeque;
 
 /// Maximum number of blocks in one file: a grant, a delegation, a member's certificate, an
-/// invitation, a domain's proof.
-const MAX_BLOCKS: usize = 5;
+/// invitation, a renewal of two blocks, a domain's proof.
+const MAX_BLOCKS: usize = 7;
 
 /// Start of the labels of later kinds that a reader of this release may skip. A file may have as
 /// many of these as of all others.

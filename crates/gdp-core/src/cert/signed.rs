@@ -5,6 +5,7 @@ use crate::cbor;
 use crate::cert::error::CertError;
 use crate::crypto::{CryptoError, SIGNATURE_LEN};
 use crate::identity::SigningKey;
+use crate::name::NameProof;
 use crate::verify_key::VerifyKey;
 use coset::{CoseSign1, CoseSign1Builder, HeaderBuilder, TaggedCborSerializable, iana};
 use p256::pkcs8::{LineEnding, der::pem};
@@ -72,6 +73,18 @@ impl<T: Claims> Signed<T> {
             })
         })?;
         Ok(claims)
+    }
+
+    /// Verifies the signature of the owner of `name`, or of the successor that a domain has named.
+    /// Disregards the time.
+    pub fn verify_for_name(&self, name: &NameProof) -> Result<T, CertError> {
+        let signer = self.signer_unverified()?;
+        self.verify_signature(&if name.is_signer(&signer) { signer } else { name.verify_key()? })
+    }
+
+    /// Returns the public key that is stated as the signer's, unverified.
+    pub fn signer_unverified(&self) -> Result<VerifyKey, CertError> {
+        Ok(VerifyKey::from_bytes(&self.parse()?.0.protected.header.key_id)?)
     }
 
     /// Returns the unverified claims, to show them or to find the key for verification.

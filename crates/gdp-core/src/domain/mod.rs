@@ -357,9 +357,8 @@ fn check_own(entity: Name, credentials: &Credentials) -> Result<Name, DomainErro
     if cert.entity != entity {
         return Err(unreadable(CertError::WrongEntity { expected: entity, got: cert.entity }));
     }
-    let key = credentials.membership.domain.verify_key().map_err(|error| unreadable(error.into()))?;
     for signed in &credentials.peers {
-        let claims = signed.verify_signature(&key).map_err(unreadable)?;
+        let claims = signed.verify_for_name(&credentials.membership.domain).map_err(unreadable)?;
         if claims.domain != domain {
             return Err(unreadable(CertError::WrongDomain { expected: domain, got: claims.domain }));
         }

@@ -11,7 +11,8 @@ use crate::cbor::CborError;
 use crate::cert::{CertError, Delegation, Enrollment, Invite, MemberCert, Membership, Signed, issue};
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
-use crate::name::{Metadata, Name, NameProof, inner_digest};
+use crate::name::{Name, NameProof, domain_metadata, inner_digest};
+use crate::verify_key::VerifyKey;
 
 const PREFIX: &str = "gdp1";
 
@@ -43,6 +44,7 @@ pub struct Token {
     at: LinkTarget,
     switch: Option<Name>,
     enrolling: Option<Enrolling>,
+    successor: Option<VerifyKey>,
 }
 
 /// Part of an invitation that also enrolls the new member in the domain's directory.
@@ -50,7 +52,7 @@ pub struct Token {
 #[serde(deny_unknown_fields)]
 pub struct Enrolling {
     pub enrollment: Signed<Enrollment>,
-    /// Delegation to the invitation's key: its holder may call the join service.
+    /// Delegation by the join service to the invitation's key: its holder may call the service.
     pub call: Signed<Delegation>,
 }
 
@@ -65,6 +67,8 @@ struct Form {
     switch: Option<Name>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     enrolling: Option<Enrolling>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    successor: Option<VerifyKey>,
 }
 
 impl Drop for Form {
@@ -83,15 +87,15 @@ impl Token {
         at: LinkTarget,
         switch: Option<Name>,
     ) -> Result<Self, CertError> {
-        let token = Self { domain, invite, key, at, switch, enrolling: None };
+        let token = Self { domain, invite, key, at, switch, enrolling: None, successor: None };
         token.invite()?;
         Ok(token)
     }
 
     /// Verifies the invitation, regardless of time, and returns its claims.
     pub fn invite(&self) -> Result<Invite, CertError> {
-        let (domain, key) = (self.domain.name()?, self.domain.verify_key()?);
-        let claims = self.invite.verify_signature(&key)?;
+        let domain = self.domain.name()?;
+        let claims = self.invite.verify_for_name(&self.domain)?;
         if claims.domain != domain {
             return Err(CertError::WrongDomain { expected: domain, got: claims.domain });
         }
@@ -110,7 +114,7 @@ impl Token {
     /// Adds the enrollment, after a check that it is of this invitation.
     pub fn enroll(self, enrolling: Enrolling) -> Result<Self, CertError> {
         let invite = self.invite()?;
-        let claims = enrolling.enrollment.verify_signature(&self.domain.verify_key()?)?;
+        let claims = enrolling.enrollment.verify_for_name(&self.domain)?;
         if (claims.domain, claims.member) != (invite.domain, invite.serial) {
             return Err(CertError::Malformed("the enrollment is of another invitation".into()));
         }
@@ -131,9 +135,18 @@ impl Token {
         &self.domain
     }
 
-    /// Returns the card of the domain. All domains have the same metadata.
+    /// Adds the key that succeeds the domain's, which is part of the domain's card.
+    pub fn with_successor(self, successor: Option<VerifyKey>) -> Self {
+        Self { successor, ..self }
+    }
+
+    pub fn successor(&self) -> Option<VerifyKey> {
+        self.successor
+    }
+
+    /// Returns the card of the domain.
     pub fn domain_card(&self) -> Result<NameCard, CertError> {
-        let metadata = Metadata::from([("kind".to_owned(), "domain".to_owned())]);
+        let metadata = domain_metadata(self.successor.as_ref());
         if inner_digest(&metadata) != self.domain.digest {
             return Err(CertError::Malformed("who invites is no domain".into()));
         }
@@ -157,7 +170,7 @@ impl Token {
         let Invite { domain, role, serial: invited, member_until: not_after, .. } = invite;
         let claims = MemberCert { domain, entity, role, serial: serial.max(invited), not_before, not_after };
         let cert = issue(&self.key, &claims)?;
-        let membership = Membership { domain: self.domain, cert, invite: Some(self.invite.clone()) };
+        let membership = Membership { domain: self.domain, cert, invite: Some(self.invite.clone()), renewal: None };
         membership.verify(domain, None, now)?;
         Ok(membership)
     }
@@ -171,6 +184,7 @@ impl Token {
             at: self.at.to_string(),
             switch: self.switch,
             enrolling: self.enrolling.clone(),
+            successor: self.successor,
         };
         let bytes = Zeroizing::new(cbor::encode(&form).expect("byte strings and text have an encoding"));
         let encoded = Zeroizing::new(Base64UrlUnpadded::encode_string(&bytes));
@@ -191,7 +205,7 @@ impl Token {
         let damaged = |what: &str| TokenError::Damaged(what.into());
         let key = SigningKey::from_secret_bytes(&form.key).map_err(|_| damaged("its key is none"))?;
         let at = form.at.parse().map_err(|_| damaged("it names no place to dial"))?;
-        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?;
+        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?.with_successor(form.successor);
         Ok(match form.enrolling.clone() {
             Some(enrolling) => token.enroll(enrolling)?,
             None => token,

@@ -300,7 +300,8 @@ impl Domain {
     }
 
     fn revoke(&self, number: u64, floor: u64, revoked: Vec<u64>) -> Signed<Revocation> {
-        issue(self.identity.key(), &Revocation { name: self.identity.name(), number, floor, revoked }).unwrap()
+        issue(self.identity.key(), &Revocation { name: self.identity.name(), number, floor, revoked, signer: None })
+            .unwrap()
     }
 
     fn invite(&self, role: &str, serial: u64) -> Token {

@@ -49,6 +49,6 @@ fn files_are_bounded_and_damage_is_told() {
 fn signed(seed: u8, number: u64, revoked: Vec<u64>) -> SignedRevocation {
     let owner = SigningKey::from_secret_bytes(&[seed; 32]).unwrap();
     let proof = NameProof { owner_key: owner.public(), digest: [seed; 32] };
-    let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
+    let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked, signer: None };
     SignedRevocation { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
 }

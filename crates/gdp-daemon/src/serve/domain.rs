@@ -21,7 +21,7 @@ use super::daemon::Daemon;
 use super::detach::detach_lost;
 use super::domain_store::MembershipError;
 use crate::config::DomainConfig;
-use crate::domain::Credentials;
+use crate::domain::{Admitted, Credentials};
 
 /// The interval between checks for expired admissions.
 const LOOK: Duration = Duration::from_secs(1);
@@ -193,13 +193,15 @@ async fn take_credentials(daemon: &Arc<Daemon>, link: &Link, credentials: Creden
 pub async fn ask_admitted(daemon: &Arc<Daemon>, request: Request) -> Result<(), Refusal> {
     let Request::Admitted { entity, membership, .. } = &request else { return Ok(()) };
     let (entity, membership) = (*entity, membership.clone());
+    let until = membership.until_unverified().unwrap_or_default();
     if let Response::Refused(refusal) = daemon.answer(|core| core.for_rib(request)).await {
         return Err(refusal);
     }
     if let (Some(domain), Ok(Some(invite))) = (&mut daemon.core().membership.domain, membership.invite_unverified())
-        && !domain.invitations.has_admitted(invite.serial, &entity)
+        && !domain.invitations.has_admitted(invite.serial, &entity, until)
     {
-        domain.invitations.remember(&invite, entity);
+        let admitted = Admitted { entity, until, is_renewed: membership.renewal.is_some() };
+        domain.invitations.remember(&invite, admitted);
         domain.changes += 1;
     }
     // The RIB has saved it. If saving fails here, this switch asks the RIB again later.

@@ -31,24 +31,7 @@ impl Domain {
     fn new() -> Self {
         let identity = Identity::generate("domain").unwrap();
         let key = SigningKey::generate().unwrap();
-        let delegate = |card: NameCard| {
-            let delegation = Delegation {
-                name: card.name(),
-                delegate: key.verify_key(),
-                publish: false,
-                read: true,
-                serial: NANOS,
-                not_before: NOW - 60,
-                not_after: NOW + 1_000_000,
-            };
-            issue(identity.key(), &delegation).unwrap()
-        };
-        let domain_key = identity.key().verify_key();
-        let delegations = Delegations {
-            directory: delegate(directory_card(domain_key).unwrap()),
-            join: delegate(join_card(domain_key).unwrap()),
-        };
-        let service = JoinService::new(key.clone(), identity.name(), delegations);
+        let service = JoinService::new(key.clone(), identity.name());
         Self { identity, service, key, serial: NANOS }
     }
 
@@ -70,11 +53,11 @@ impl Domain {
             not_before,
             not_after: member_until,
         };
-        let name = join_card(self.identity.key().verify_key()).unwrap().name();
+        let name = join_card(self.key.verify_key()).unwrap().name();
         let call = Delegation { name, delegate: key, publish: false, read: true, serial, not_before, not_after };
         let signer = self.identity.key();
         let enrolling =
-            Enrolling { enrollment: issue(signer, &enrollment).unwrap(), call: issue(signer, &call).unwrap() };
+            Enrolling { enrollment: issue(signer, &enrollment).unwrap(), call: issue(&self.key, &call).unwrap() };
         let at = "udp://192.0.2.1:31415".parse().unwrap();
         let token = Token::new(self.identity.proof(), issue(signer, &invite).unwrap(), invited, at, None).unwrap();
         let line = token.enroll(enrolling).unwrap().to_line();
@@ -141,8 +124,8 @@ fn members_read_what_the_domain_enrolled_them_for() {
     let (server, robot) = (home.machine(&server), home.machine(&robot));
     for machine in [&server, &robot] {
         let JoinReply::Joined { directory, call } = home.join(machine) else { panic!("refused") };
-        let domain = home.identity.key().verify_key();
-        for (grant, card) in [(directory, directory_card(domain)), (call, join_card(domain))] {
+        let owner = home.key.verify_key();
+        for (grant, card) in [(directory, directory_card(owner)), (call, join_card(owner))] {
             let grant = grant.verify(&card.unwrap().proof(), None, NOW).unwrap();
             assert_eq!(grant.to, entity(machine.entity));
         }
@@ -190,7 +173,8 @@ fn who_is_revoked_or_leaves_is_not_listed() {
         assert!(matches!(home.join(machine), JoinReply::Joined { .. }));
     }
     let revoked = machines[0].request.membership.serial_unverified().unwrap();
-    let revocation = Revocation { name: home.identity.name(), number: 1, floor: 0, revoked: vec![revoked] };
+    let revocation =
+        Revocation { name: home.identity.name(), number: 1, floor: 0, revoked: vec![revoked], signer: None };
     assert!(home.service.revoke(revocation.clone()));
     assert!(!home.service.revoke(revocation));
     refused(home.join(&machines[0]), "revo");
@@ -249,7 +233,7 @@ fn members_and_grants_outlive_a_restart() {
     assert_eq!(home.service.directory(NANOS + 1), published, "nothing is issued again at once");
     let later = home.service.directory(NANOS + (GRANT_LIFETIME / 2) * 1_000_000_000);
     assert_ne!(later, published, "grants are issued again after half of their validity");
-    let mut again = JoinService::new(home.key.clone(), home.identity.name(), home.service.delegations.clone());
+    let mut again = JoinService::new(home.key.clone(), home.identity.name());
     again.restore(&home.service.to_bytes().unwrap()).unwrap();
     assert_eq!(again.rows(NOW), home.service.rows(NOW));
     assert!(again.restore(b"nonsense").is_err());
@@ -309,4 +293,43 @@ fn the_domain_may_enroll_a_member_for_other_topics() {
     assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));
     assert!(!home.service.enroll(joined.request.enrollment.clone()), "an older one");
     assert!(home.service.rows(NOW).iter().all(|row| row.enrollment.expose == ["/odom"]));
+}
+
+#[test]
+fn a_member_is_renewed_when_half_of_its_time_has_passed() {
+    let mut home = Domain::new();
+    let token = home.invite("robot7", vec![], all());
+    let robot = home.machine(&token);
+    home.join(&robot);
+    let (domain, nanos) = (home.identity.name(), |at: u64| at * 1_000_000_000);
+    let base = robot.request.membership.clone();
+    assert!(!home.service.renew_due(nanos(NOW + 900_000)), "the domain delegates no renewal");
+
+    let delegation = RenewalDelegation {
+        domain,
+        member: base.serial_unverified().unwrap(),
+        key: home.key.verify_key(),
+        lifetime: 1_000_000,
+        serial: NANOS,
+        not_before: NOW - 60,
+        not_after: NOW + 3_000_000,
+    };
+    home.service.delegate(issue(home.identity.key(), &delegation).unwrap());
+    assert!(!home.service.renew_due(nanos(NOW + 400_000)), "more than half is left");
+    assert!(home.service.renew_due(nanos(NOW + 900_000)));
+    assert!(!home.service.renew_due(nanos(NOW + 900_001)));
+    let renewed = |home: &mut Domain| home.service.directory(nanos(NOW + 900_000)).entries[0].membership.clone();
+    let membership = renewed(&mut home);
+    assert_eq!(membership.verify(domain, None, NOW + 1_800_000).unwrap().entity, robot.entity);
+
+    // A machine that joins again with its first membership keeps the renewed one.
+    home.service.answer(robot.entity, JoinRequest::Join(robot.request.clone().into()), NANOS + 3_000_000_000);
+    assert_eq!(renewed(&mut home), membership);
+    let stored = home.service.to_bytes().unwrap();
+    home.service.restore(&stored).unwrap();
+    assert_eq!(renewed(&mut home), membership);
+
+    let revoked = vec![base.serial_unverified().unwrap()];
+    home.service.revoke(Revocation { name: domain, number: 1, floor: 0, revoked, signer: None });
+    assert!(!home.service.renew_due(nanos(NOW + 1_700_000)));
 }

@@ -75,7 +75,8 @@ fn a_record_is_believed_only_if_all_of_it_fits() {
         assert_eq!((verified.entity, verified.not_after), (entity, 200));
         assert!(matches!(record.verify(None, 39), Err(CertError::NotYetValid { .. })));
         assert!(matches!(record.verify(None, 201), Err(CertError::Expired { .. })));
-        let revoked = |floor| record.verify(Some(&Revocation { name, number: 1, floor, revoked: vec![] }), 150);
+        let revoked =
+            |floor| record.verify(Some(&Revocation { name, number: 1, floor, revoked: vec![], signer: None }), 150);
         assert!(revoked(5).is_ok());
         assert!(matches!(revoked(6), Err(CertError::Revoked { serial: 5, floor: 6, .. })));
         let bytes = encode(record).unwrap();

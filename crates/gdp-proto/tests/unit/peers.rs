@@ -59,7 +59,7 @@ fn who_reads_for_a_role_reads_no_more_once_its_domain_takes_it_back() {
     let [first, second, again] = [by_role(&stolen, 7), by_role(&other, 8), by_role(&stolen, 9)];
     let all = [first.clone(), second, w.reader(&named, 7)];
     assert_eq!(w.whole(&all).len(), 3);
-    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7] };
+    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7], signer: None };
     let of_another = Revocation { name: Name::from_bytes([1; 32]), ..claims.clone() };
     assert_eq!(w.held.domain_revoked(&of_another), []);
     assert_eq!(w.held.domain_revoked(&claims), [PeerEvent::Expelled(stolen.name())]);
@@ -189,7 +189,7 @@ impl World {
     }
 
     fn revocation(&mut self, owner: &SigningKey, number: u64, revoked: &[u64]) -> Vec<PeerEvent> {
-        let claims = Revocation { name: self.name, number, floor: 0, revoked: revoked.to_vec() };
+        let claims = Revocation { name: self.name, number, floor: 0, revoked: revoked.to_vec(), signer: None };
         self.take(Peers { revocation: Some(issue(owner, &claims).unwrap()), ..self.nothing() })
     }
 

@@ -109,7 +109,7 @@ pub fn refusal(error: CertError) -> Refusal {
         CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
         CertError::WrongSwitch { .. } => RefusalCode::WrongSwitch,
         CertError::ReplayedSerial { .. } | CertError::RolledBack { .. } => RefusalCode::ReplayedSerial,
-        CertError::Revoked { .. } => RefusalCode::Revoked,
+        CertError::Revoked { .. } | CertError::Retired { .. } => RefusalCode::Revoked,
         CertError::NotDelegated { .. }
         | CertError::BeforeDelegation { .. }
         | CertError::NotAMember { .. }

@@ -20,10 +20,7 @@ impl Rib {
     ) -> Result<Response, Refusal> {
         let wrong = |error| refusal(CertError::Crypto(error));
         let name = proof.name().map_err(wrong)?;
-        let claims = signed.verify(&proof.verify_key().map_err(wrong)?, now.unix).map_err(refusal)?;
-        if claims.name != name {
-            return Err(refusal(CertError::WrongName { expected: name, got: claims.name }));
-        }
+        let claims = signed.verify_revocation(proof).map_err(refusal)?;
         let (key, held) = (name.to_bytes(), self.revocations.claims(name.as_bytes()));
         claims.check_replaces(held).map_err(refusal)?;
         if held == Some(&claims) {

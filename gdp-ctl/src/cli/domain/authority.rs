@@ -10,12 +10,27 @@ use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::next_serial;
 use super::ledger::Issue;
 
-/// A domain's key and ledger, locked while a command issues certificates.
-pub struct Authority {
-    pub identity: Identity,
+/// A domain's ledger, locked while a command uses it.
+pub struct DomainLedger {
     pub issuance_log: IssuanceLog,
     pub issued: Vec<Issue>,
     pub revocation: Option<Revocation>,
+}
+
+impl DomainLedger {
+    /// Opens the ledger beside a domain's card.
+    pub fn open(card: &Path) -> anyhow::Result<Self> {
+        let issuance_log = IssuanceLog::open(card)?;
+        let (issued, revocation) =
+            (issuance_log.ledger::<Issue>()?, issuance_log.revocation()?.map(|(_, claims)| claims));
+        Ok(Self { issuance_log, issued, revocation })
+    }
+}
+
+/// A domain's key, or that of its successor, with the ledger.
+pub struct Authority {
+    pub identity: Identity,
+    pub ledger: DomainLedger,
     /// Serial of the next certificate.
     pub serial: u64,
 }
@@ -23,30 +38,29 @@ pub struct Authority {
 impl Authority {
     /// Opens key and ledger. The default location of the card is beside the key.
     pub fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
-        let identity = Identity::new(SigningKey::load(key)?, "domain");
+        let signing_key = SigningKey::load(key)?;
         let card = card.map_or_else(|| card_file_of(key), Path::to_path_buf);
-        let issuance_log = IssuanceLog::open(&card)?;
-        if issuance_log.card().name() != identity.name() {
-            bail!(
-                "{} is the key of domain {}, and {} the card of {}",
-                key.display(),
-                identity.name(),
-                card.display(),
-                issuance_log.card().name()
-            );
+        let ledger = DomainLedger::open(&card)?;
+        let known = ledger.issuance_log.card();
+        let Some(identity) = Identity::of_domain(signing_key.clone(), known) else {
+            let of = Identity::new(signing_key, "domain").name();
+            bail!("{} is the key of domain {of}, and {} the card of {}", key.display(), card.display(), known.name());
+        };
+        if let Some(signer) = ledger.revocation.as_ref().and_then(|revocation| revocation.signer)
+            && signer != identity.key().verify_key()
+        {
+            bail!("{}: this key of the domain is retired; use the key that succeeded it", key.display());
         }
-        let (issued, revocation) =
-            (issuance_log.ledger::<Issue>()?, issuance_log.revocation()?.map(|(_, claims)| claims));
-        let serial = next_serial(&issued, revocation.as_ref())?;
-        Ok(Self { identity, issuance_log, issued, revocation, serial })
+        let serial = next_serial(&ledger.issued, ledger.revocation.as_ref())?;
+        Ok(Self { identity, ledger, serial })
     }
 
     /// Records a certificate in the ledger. Call this before handing it out, because a certificate
     /// that is not in the ledger would not be revoked.
     pub fn remember(self, issue: Issue) -> anyhow::Result<()> {
-        let mut issued = self.issued;
+        let mut issued = self.ledger.issued;
         issued.push(issue);
-        self.issuance_log.keep_ledger(issued)
+        self.ledger.issuance_log.keep_ledger(issued)
     }
 }
 

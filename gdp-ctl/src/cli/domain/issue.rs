@@ -11,6 +11,7 @@ use gdp_core::cert::{Claims, Invite, MemberCert, Membership, PeerCert, PeerRight
 use gdp_core::domain::Token;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
+use gdp_core::name::domain_metadata;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -29,6 +30,9 @@ pub struct InitOptions {
     /// Folder for the new files domain.pem and domain.card.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
+    /// Key file that may sign for the domain if domain.pem is lost. It is made if there is none.
+    #[arg(long, value_name = "FILE")]
+    successor: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -119,21 +123,22 @@ pub struct InitOutput {
 pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let folder = &options.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
-    let output = create_domain(folder)?;
+    let output = create_domain(folder, options.successor.as_deref())?;
     let name = output.name.to_string();
     context.output.print(&output, || [name])
 }
 
-/// Creates domain.pem and domain.card in an existing folder.
-pub fn create_domain(folder: &Path) -> anyhow::Result<InitOutput> {
+/// Creates domain.pem and domain.card in an existing folder, and the key of the successor.
+pub fn create_domain(folder: &Path, successor: Option<&Path>) -> anyhow::Result<InitOutput> {
     let key_file = folder.join("domain.pem");
     let card_file = card_file_of(&key_file);
     expect_new(&card_file)?;
-    let identity = Identity::new(SigningKey::generate()?, "domain");
-    identity.save_new(&key_file)?;
-    let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
+    let successor = successor.map(|file| Identity::load_or_generate(file, "domain")).transpose()?;
+    let successor = successor.map(|identity| identity.key().verify_key());
+    let identity = Identity::load_or_generate(&key_file, "domain")?;
+    let card = NameCard::new(identity.key().verify_key(), domain_metadata(successor.as_ref()))?;
     output::write_new(&card_file, &card.to_json())?;
-    Ok(InitOutput { name: identity.name(), key: key_file, card: card_file })
+    Ok(InitOutput { name: card.name(), key: key_file, card: card_file })
 }
 
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
@@ -144,7 +149,7 @@ pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let (entity, role) = (options.entity, options.role.clone());
     let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
     let membership = Membership::issue(&authority.identity, &claims)?;
-    membership.verify(domain, authority.revocation.as_ref(), unix_seconds())?;
+    membership.verify(domain, authority.ledger.revocation.as_ref(), unix_seconds())?;
     let to = To::Member { entity, role };
     authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &membership.to_pem())?;
@@ -170,6 +175,7 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
     let claims = Invite { domain, key, role: role.clone(), serial, not_before, not_after, member_until };
     let signed = issue(authority.identity.key(), &claims)?;
     let token = Token::new(authority.identity.proof(), signed, invited, at, switch)?;
+    let token = token.with_successor(authority.ledger.issuance_log.card().successor());
     let to = To::Invited { role };
     authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: member_until, file: None })?;
     let line = token.to_line();
@@ -186,7 +192,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let (peer, rights) = (options.domain, options.rights);
     let claims = PeerCert { domain, peer, rights, serial, not_before, not_after };
     let signed = issue(authority.identity.key(), &claims)?;
-    signed.verify_peer(&authority.identity.proof(), authority.revocation.as_ref(), unix_seconds())?;
+    signed.verify_peer(&authority.identity.proof(), authority.ledger.revocation.as_ref(), unix_seconds())?;
     let to = To::Peer { domain: peer, rights };
     authority.remember(Issue { serial, to, label: None, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &signed.to_pem())?;

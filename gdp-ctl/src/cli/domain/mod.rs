@@ -13,7 +13,7 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
-pub use authority::Authority;
+pub use authority::{Authority, DomainLedger};
 pub use issue::{InitOutput, create_domain};
 pub use join::{JoinOutput, quoted};
 pub use ledger::{Issue, To};

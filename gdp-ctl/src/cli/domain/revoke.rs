@@ -44,17 +44,17 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let (signed, claims) = if anew {
         let floor = options.all.then_some(authority.serial);
         let chosen = options.chosen(&authority)?;
-        let (name, known) = (authority.identity.name(), authority.revocation.as_ref());
-        let claims = next(name, known, &authority.issued, &chosen, floor, unix_seconds())?;
+        let (name, known) = (authority.identity.name(), authority.ledger.revocation.as_ref());
+        let claims = next(name, known, &authority.ledger.issued, &chosen, floor, unix_seconds())?;
         let signed = issue(authority.identity.key(), &claims)?;
-        authority.issuance_log.keep_revocation(&signed)?;
+        authority.ledger.issuance_log.keep_revocation(&signed)?;
         (signed, claims)
     } else {
-        let known = authority.issuance_log.revocation()?;
+        let known = authority.ledger.issuance_log.revocation()?;
         known.with_context(|| format!("nothing of {} is revoked yet; say what to revoke", authority.identity.name()))?
     };
     let again = format!("gdp-ctl domain revoke --key {}", options.key.key.display());
-    publish(&authority.issuance_log, signed, &claims, anew, &again, context)
+    publish(&authority.ledger.issuance_log, signed, &claims, anew, &again, context)
 }
 
 impl Options {
@@ -71,14 +71,14 @@ impl Options {
             });
         }
         for prefix in &self.entity {
-            let members = authority.issued.iter().filter_map(|issue| Some((issue.member()?, issue.serial)));
+            let members = authority.ledger.issued.iter().filter_map(|issue| Some((issue.member()?, issue.serial)));
             let entity = find(prefix, members.clone().map(|(member, _)| member))?;
             let entity = entity.with_context(|| nothing_for(prefix))?;
             chosen.extend(members.filter(|(member, _)| *member == entity).map(|(_, serial)| serial));
         }
         for domain in &self.domain {
             let before = chosen.len();
-            let peers = authority.issued.iter().filter(|issue| issue.peer() == Some(*domain));
+            let peers = authority.ledger.issued.iter().filter(|issue| issue.peer() == Some(*domain));
             chosen.extend(peers.map(|issue| issue.serial));
             if chosen.len() == before {
                 bail!(nothing_for(domain));

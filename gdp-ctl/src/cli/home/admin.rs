@@ -16,7 +16,7 @@ use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Home, HomeOptions};
+use super::{Home, HomeOptions, rotate};
 use crate::cli::context::Context;
 
 /// Maximum size of a backup, in bytes.
@@ -44,6 +44,9 @@ pub enum Command {
         #[command(flatten)]
         home: HomeOptions,
     },
+    /// Replace the domain's key by its successor.
+    #[command(after_help = "Without the successor's key there is no rotation: make a new domain.")]
+    Rotate(rotate::Options),
     /// Show what was issued and revoked, when and by whom.
     Log {
         #[command(flatten)]
@@ -78,7 +81,7 @@ pub struct LogOutput {
     time: u64,
     /// User of the machine who ran the command.
     user: String,
-    /// `invite`, `revoke` or `restore`.
+    /// `invite`, `enroll`, `deny`, `revoke`, `rotate`, `retire` or `restore`.
     action: String,
     label: String,
     /// Serials of the certificates. Text, because JavaScript and jq round such numbers.
@@ -89,6 +92,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Backup { file, home } => backup(&file, &home.home()?, context),
         Command::Restore { file, home } => restore(&file, &home.home()?, context),
+        Command::Rotate(options) => rotate::run(&options, context),
         Command::Log { home } => log(&home.home()?, context),
     }
 }

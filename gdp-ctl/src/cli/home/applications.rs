@@ -19,6 +19,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::invite::{Terms, check_free, check_pattern};
+use super::renewals::RENEWABLE;
 use super::{HOUR, Home, HomeOptions};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
@@ -39,9 +40,9 @@ pub struct ApproveOptions {
     /// Only these of the topics that it asks to expose; repeat or separate by commas.
     #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
     only: Vec<String>,
-    /// Time for which the new member stays one.
-    #[arg(long = "for", value_name = "TIME", default_value = "365d", value_parser = parse_seconds)]
-    duration: u32,
+    /// Time for which the new member stays one. Default: until it is revoked.
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_seconds)]
+    duration: Option<u32>,
     /// Approve without typing the fingerprint.
     #[arg(long)]
     yes: bool,
@@ -88,7 +89,7 @@ pub fn approve(options: &ApproveOptions, context: &Context) -> anyhow::Result<()
     let rules = import.iter().chain(&read).flat_map(|of| &of.topics);
     expose.iter().chain(rules).try_for_each(|pattern| check_pattern(pattern))?;
     let expose = if options.only.is_empty() { expose } else { options.only.clone() };
-    let (role, duration, within) = ("robot".to_owned(), options.duration.into(), 24 * HOUR);
+    let (role, duration, within) = ("robot".to_owned(), options.duration.map_or(RENEWABLE, u64::from), 24 * HOUR);
     let terms = Terms { label: label.clone(), role, expose, import, read, duration, within };
     check_free(&label)?;
     let (invite, enrolling, _) = home.sign_invitation(terms, key)?;

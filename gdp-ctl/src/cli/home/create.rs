@@ -1,24 +1,20 @@
 //! Makes what a domain with one server needs. Keys and choices that exist stay, so it may run
-//! again. Certificates are issued anew after half of their validity.
+//! again, also without the domain's key.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 
 use anyhow::Context as _;
-use gdp_core::cert::domain::roles;
-use gdp_core::cert::{AdCert, Delegation, MemberCert, Membership, issue};
 use gdp_core::identity::Identity;
 use gdp_core::secret_file;
-use gdp_directory::{directory_card, join_card};
-use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
+use super::renewals::{OWN, SWITCH};
 use super::{DAY, DomainAddress, Home};
-use crate::cli::domain::{Issue, To, create_domain, quoted};
-use crate::cli::issuing::validity;
+use crate::cli::domain::{create_domain, quoted};
 
-/// Validity in seconds of what the domain issues to its own server.
-const LIFETIME: u64 = 365 * DAY;
+/// Seconds for which a membership lasts without a renewal, if nothing else was chosen.
+const LIFETIME: u64 = 60 * DAY;
 
 /// Where the switch of a new domain takes links.
 const DEFAULT_UDP: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::UNSPECIFIED), 31415);
@@ -30,6 +26,8 @@ pub struct DomainOptions<'a> {
     pub udp: Option<SocketAddr>,
     /// Whether XDP is turned off. It stays off.
     pub no_xdp: bool,
+    /// Seconds for which a membership lasts without a renewal. `None` keeps what was chosen before.
+    pub lifetime: Option<u64>,
     pub socket: Option<&'a Path>,
 }
 
@@ -44,17 +42,21 @@ pub struct Made {
 impl Home {
     pub fn create(&self, wanted: &DomainOptions) -> anyhow::Result<Made> {
         std::fs::create_dir_all(self.folder()).with_context(|| format!("cannot create {}", self.folder().display()))?;
-        let is_new = !self.path("domain.pem").exists();
+        let is_new = !self.path("domain.card").exists();
         if is_new {
-            create_domain(self.folder())?;
+            create_domain(self.folder(), Some(&self.path("successor.pem")))?;
         }
+        let before = self.address().ok();
+        let lifetime = wanted.lifetime.or(before.as_ref().map(|before| before.lifetime)).unwrap_or(LIFETIME);
         let switch = Identity::load_or_generate(&self.path("switch.pem"), "switch")?;
         let join = Identity::load_or_generate(&self.path("join.pem"), "tool")?;
-        self.admit(&switch, roles::RIB, "switch")?;
-        self.admit(&join, "join", "join")?;
-        self.certify_join_service(&join)?;
+        for own in OWN {
+            let identity = if own.label == SWITCH.label { &switch } else { &join };
+            if !self.is_admitted(own)? {
+                self.admit(identity.name(), own, lifetime)?;
+            }
+        }
         let domain = self.card()?.name();
-        let before = self.address().ok();
         let udp = wanted.udp.or(before.as_ref().map(|before| before.udp)).unwrap_or(DEFAULT_UDP);
         let xdp = !wanted.no_xdp && before.as_ref().is_none_or(|before| before.xdp);
         let at = match (wanted.at, &before) {
@@ -62,7 +64,7 @@ impl Home {
             (None, Some(before)) => before.at.clone(),
             (None, None) => dialled(&own_address()?, udp.port()),
         };
-        let address = DomainAddress { at, switch: switch.name(), udp, xdp };
+        let address = DomainAddress { at, switch: switch.name(), udp, xdp, lifetime };
         address.target()?;
         let is_same = before.as_ref() == Some(&address) && wanted.socket.is_none();
         self.replace("address", &serde_json::to_string(&address)?)?;
@@ -73,53 +75,9 @@ impl Home {
         Ok(Made { domain, switch: switch.name(), is_new })
     }
 
-    fn replace(&self, name: &str, text: &str) -> anyhow::Result<()> {
+    pub(super) fn replace(&self, name: &str, text: &str) -> anyhow::Result<()> {
         Ok(secret_file::replace(&self.path(name), text.as_bytes())?)
     }
-
-    /// Issues the membership of an entity of this server, unless half of the last one is left.
-    fn admit(&self, identity: &Identity, role: &str, label: &str) -> anyhow::Result<()> {
-        let file = format!("{label}.member");
-        let known = std::fs::read_to_string(self.path(&file)).ok().and_then(|text| Membership::from_pem(&text).ok());
-        let until = known.and_then(|known| known.cert.claims_unverified().ok()).map_or(0, |claims| claims.not_after);
-        if is_fresh(until) {
-            return Ok(());
-        }
-        let authority = self.authority()?;
-        let (not_before, not_after) = validity(LIFETIME);
-        let (domain, entity, role, serial) =
-            (authority.identity.name(), identity.name(), role.to_owned(), authority.serial);
-        let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
-        let membership = Membership::issue(&authority.identity, &claims)?;
-        let (to, label, at) = (To::Member { entity, role }, Some(label.to_owned()), Some(self.path(&file)));
-        authority.remember(Issue { serial, to, label, not_before, not_after, ends: not_after, file: at })?;
-        self.replace(&file, &membership.to_pem())
-    }
-
-    /// Lets the join service serve its name, publish the directory, and grant both to members.
-    fn certify_join_service(&self, join: &Identity) -> anyhow::Result<()> {
-        let known = self.signed::<AdCert>("join.cert").and_then(|signed| Ok(signed.claims_unverified()?));
-        if known.is_ok_and(|claims| is_fresh(claims.not_after)) {
-            return Ok(());
-        }
-        let authority = self.authority()?;
-        let key = authority.identity.key();
-        for (label, card) in [("directory", directory_card(key.verify_key())?), ("join", join_card(key.verify_key())?)]
-        {
-            let (name, serial, (not_before, not_after)) = (card.name(), authority.serial, validity(LIFETIME));
-            let (entity, delegate) = (join.name(), join.key().verify_key());
-            let cert = AdCert { name, entity, scope: vec![], serial, not_before, not_after };
-            let delegation = Delegation { name, delegate, publish: false, read: true, serial, not_before, not_after };
-            self.replace(&format!("{label}.delegation"), &issue(key, &delegation)?.to_pem())?;
-            self.replace(&format!("{label}.cert"), &issue(key, &cert)?.to_pem())?;
-        }
-        Ok(())
-    }
-}
-
-/// Whether more than half of the lifetime is left.
-fn is_fresh(until: u64) -> bool {
-    until.saturating_sub(LIFETIME / 2) > unix_seconds()
 }
 
 /// Returns the link that members dial, from a host with or without a port.

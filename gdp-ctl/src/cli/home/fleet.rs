@@ -16,7 +16,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::invite::{Terms, check_free, check_pattern, imported, topics_of};
-use super::{DAY, HOUR, Home, HomeOptions};
+use super::renewals::RENEWABLE;
+use super::{HOUR, Home, HomeOptions, enrollments};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
 use gdp_directory::SERVER;
@@ -171,7 +172,7 @@ fn terms(label: &str, wanted: MemberTerms) -> anyhow::Result<Terms> {
     let MemberTerms { expose, import, read, duration, role } = wanted;
     check_free(label)?;
     expose.iter().try_for_each(|pattern| check_pattern(pattern))?;
-    let duration = duration.map_or(Ok(365 * DAY), |text| parse_seconds(&text).map(u64::from));
+    let duration = duration.map_or(Ok(RENEWABLE), |text| parse_seconds(&text).map(u64::from));
     Ok(Terms {
         label: label.into(),
         role: role.unwrap_or_else(|| "robot".into()),
@@ -189,6 +190,7 @@ impl Home {
         let authority = self.authority()?;
         let enrollment = Enrollment { serial: authority.serial, ..enrollment };
         self.record("enroll", &enrollment.label, &[enrollment.member])?;
-        self.keep_enrollment(&enrollment.label, &issue(authority.identity.key(), &enrollment)?)
+        let signed = issue(authority.identity.key(), &enrollment)?;
+        self.keep_signed(enrollments::FILE, [(enrollment.label, signed.to_pem())])
     }
 }

@@ -15,7 +15,8 @@ use gdp_util::terminal::note;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{APPLICANTS, Home, HomeOptions};
+use super::renewals::RENEWABLE;
+use super::{APPLICANTS, DAY, Home, HomeOptions, enrollments, renewals};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::issuing::{parse_seconds, validity};
@@ -36,9 +37,10 @@ pub struct Options {
     /// all of all members.
     #[arg(long, value_name = "LABEL:PATTERN,…", value_delimiter = ',')]
     read: Vec<String>,
-    /// Time for which the new member stays one.
-    #[arg(long = "for", value_name = "TIME", default_value = "365d", value_parser = parse_seconds)]
-    duration: u32,
+    /// Time for which the new member stays one. Default: until it is revoked, and for a line
+    /// without a label a year.
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_seconds)]
+    duration: Option<u32>,
     /// Time within which the line must be used.
     #[arg(long, value_name = "TIME", default_value = "24h", value_parser = parse_seconds)]
     within: u32,
@@ -57,7 +59,7 @@ pub struct InviteOutput {
     line: String,
     /// Last Unix second at which the line can be used.
     use_until: u64,
-    /// End of the membership, in Unix seconds.
+    /// End of the membership without a renewal, in Unix seconds.
     member_until: u64,
 }
 
@@ -102,14 +104,16 @@ impl Options {
     fn terms(&self) -> anyhow::Result<Terms> {
         let Self { label, expose, import, read, role, .. } = self;
         let is_empty = expose.is_empty() && import.is_empty() && read.is_empty();
-        let (duration, within) = (self.duration.into(), self.within.into());
+        let (duration, within) = (self.duration.map(u64::from), self.within.into());
         let Some(label) = label else {
             if !is_empty {
                 bail!("without a label, machines ask for topics themselves; name the label, or leave the topics out");
             }
             let (label, role) = (APPLICANTS.to_owned(), roles::APPLICANT.to_owned());
+            let duration = duration.unwrap_or(365 * DAY);
             return Ok(Terms { label, role, expose: vec![], import: vec![], read: vec![], duration, within: duration });
         };
+        let duration = duration.unwrap_or(RENEWABLE);
         if is_empty {
             bail!("nothing would cross: say what {label} exposes, imports or reads, such as --expose '/camera/**'");
         }
@@ -137,8 +141,9 @@ impl Home {
     ) -> anyhow::Result<(Token, Invite)> {
         let invited = SigningKey::generate()?;
         let (invite, enrolling, claims) = self.sign_invitation(terms, invited.verify_key())?;
-        let token = Token::new(self.card()?.proof(), invite, invited, at, Some(address.switch))?;
-        Ok((token.enroll(enrolling)?, claims))
+        let card = self.card()?;
+        let token = Token::new(card.proof(), invite, invited, at, Some(address.switch))?;
+        Ok((token.with_successor(card.successor()).enroll(enrolling)?, claims))
     }
 
     /// Signs an invitation to a key, and stores what was issued.
@@ -150,18 +155,22 @@ impl Home {
         let Terms { label, role, expose, import, read, duration, within } = terms;
         check_label(&label)?;
         let authority = self.authority()?;
-        let open = self.open_serials(&authority)?;
+        let open = self.open_serials(&authority.ledger)?;
         let holds = |issue: &Issue| issue.label.as_ref() == Some(&label) && open.contains(&issue.serial);
-        if authority.issued.iter().any(holds) {
+        if authority.ledger.issued.iter().any(holds) {
             bail!(
                 "{label} is a member or invited already; choose another label, or first run `gdp-ctl revoke {label}`"
             );
         }
         let (key, domain, serial) = (authority.identity.key(), authority.identity.name(), authority.serial);
         let (not_before, not_after) = validity(within.min(duration));
-        let (_, member_until) = validity(duration);
+        // The first membership. Renewals follow it for the whole duration.
+        let lifetime = self.address()?.lifetime;
+        let (_, member_until) = validity(duration.min(within + lifetime));
+        let (_, ends) = validity(duration);
         let claims = Invite { domain, key: invited, role: role.clone(), serial, not_before, not_after, member_until };
-        let join_service = SigningKey::load(&self.path("join.pem"))?.verify_key();
+        let join_key = SigningKey::load(&self.path("join.pem"))?;
+        let join_service = join_key.verify_key();
         let enrollment = Enrollment {
             domain,
             member: serial,
@@ -172,18 +181,22 @@ impl Home {
             join_service,
             serial,
             not_before,
-            not_after: member_until,
+            not_after: ends,
         };
-        let name = join_card(key.verify_key())?.name();
+        let name = join_card(join_service)?.name();
         let call = Delegation { name, delegate: invited, publish: false, read: true, serial, not_before, not_after };
         let (invite, enrollment) = (issue(key, &claims)?, issue(key, &enrollment)?);
-        let enrolling = Enrolling { enrollment, call: issue(key, &call)? };
+        let enrolling = Enrolling { enrollment, call: issue(&join_key, &call)? };
         self.record("invite", &label, &[serial])?;
         if role != roles::APPLICANT {
-            self.keep_enrollment(&label, &enrolling.enrollment)?;
+            self.keep_signed(enrollments::FILE, [(label.clone(), enrolling.enrollment.to_pem())])?;
+            if ends > member_until {
+                let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
+                self.keep_signed(renewals::FILE, [(label.clone(), renewal.to_pem())])?;
+            }
         }
         let (to, label) = (To::Invited { role }, Some(label));
-        authority.remember(Issue { serial, to, label, not_before, not_after, ends: member_until, file: None })?;
+        authority.remember(Issue { serial, to, label, not_before, not_after, ends, file: None })?;
         Ok((invite, enrolling, claims))
     }
 }

@@ -1,5 +1,5 @@
-//! `gdp-ctl join-service`: serves the domain's join service and publishes its directory. The rules
-//! are in `gdp-directory`.
+//! `gdp-ctl join-service`: serves the domain's join service, publishes its directory, and renews
+//! memberships. The rules are in `gdp-directory`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -7,8 +7,9 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publisher, Reliability};
+use gdp_core::card::NameCard;
 use gdp_core::cbor;
-use gdp_core::cert::{AdCert, Membership};
+use gdp_core::cert::{AdCert, Issued, issue};
 use gdp_core::domain::Credentials;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::secret_file;
@@ -17,12 +18,18 @@ use gdp_directory::service::JoinService;
 use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_nanos;
+use gdp_wire::Name;
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::{Home, HomeOptions, applications, enrollments, members};
+use super::{Home, HomeOptions, applications, enrollments, members, renewals, rotate};
+use crate::cli::issuing::validity;
 
-/// How often the directory is made again, because certificates expire and are renewed.
+/// Maximum time after which the directory is made again, because certificates expire and are
+/// renewed.
 const AGAIN: Duration = Duration::from_secs(600);
+
+/// How often memberships are looked at in their lifetime.
+const LOOKS: u64 = 20;
 
 /// Versions of the directory that readers may request again.
 const HISTORY: usize = 4;
@@ -62,19 +69,24 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 
 async fn serve(home: Home) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
-    let signed = [home.revocation_path(), home.path(enrollments::FILE), home.path(applications::DECISIONS)];
+    let files = [enrollments::FILE, renewals::FILE, rotate::FILE, applications::DECISIONS];
+    let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain([home.revocation_path()]).collect();
     // Created before the file is read, so that no change is missed.
     let mut changed = FileSet::new(&watcher, signed.iter().map(PathBuf::as_path));
     let service = members::stored(&home)?;
-    let domain = *home.card()?.owner_key();
-    let node = connect(&home).await?;
-    let cert = |name: &str| anyhow::Ok(home.signed::<AdCert>(name)?.into());
-    let publisher = node.publish(directory_card(domain)?.proof(), cert("directory.cert")?, options()).await?;
-    let mut server = node.serve(join_card(domain)?.proof(), cert("join.cert")?).await?;
+    for own in renewals::OWN {
+        home.renew_own(own)?;
+    }
+    let key = SigningKey::load(&home.path("join.pem"))?;
+    let node = connect(&home, &key).await?;
+    let (directory, join) = (directory_card(key.verify_key())?, join_card(key.verify_key())?);
+    let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
+    let mut server = node.serve(join.proof(), own_right(&key, &join, node.name())?).await?;
+    let look = Duration::from_secs((home.address()?.lifetime / LOOKS).max(1)).min(AGAIN);
     let mut running = JoinServer { home, service, publisher, published: Vec::new() };
     running.publish();
     tracing::info!("the join service is ready");
-    let mut again = tokio::time::interval(AGAIN);
+    let mut again = tokio::time::interval(look);
     loop {
         tokio::select! {
             call = server.recv() => match call {
@@ -87,7 +99,7 @@ async fn serve(home: Home) -> anyhow::Result<()> {
                     running.publish();
                 }
             }
-            _ = again.tick() => running.publish(),
+            _ = again.tick() => running.renew(&node).await?,
         }
     }
 }
@@ -128,6 +140,24 @@ impl JoinServer {
         Ok(())
     }
 
+    /// Renews the memberships of which half has passed, and makes the directory again.
+    async fn renew(&mut self, node: &Node) -> anyhow::Result<()> {
+        for own in renewals::OWN {
+            match self.home.renew_own(own) {
+                Ok(Some(membership)) if own.label == renewals::JOIN.label => {
+                    node.renew_credentials(Credentials { membership, peers: Vec::new() }).await?;
+                }
+                Ok(_) => {}
+                Err(error) => tracing::error!("the membership of the {} is not renewed: {error:#}", own.label),
+            }
+        }
+        if self.service.renew_due(unix_nanos()) {
+            self.store()?;
+        }
+        self.publish();
+        Ok(())
+    }
+
     fn store(&self) -> anyhow::Result<()> {
         let waiting: Vec<_> = self.service.applications().iter().collect();
         secret_file::replace(&self.home.path(applications::APPLICATIONS), &cbor::encode(&waiting)?)?;
@@ -146,11 +176,16 @@ impl JoinServer {
     }
 }
 
-async fn connect(home: &Home) -> anyhow::Result<Node> {
+/// Returns the right of the join service to publish or serve a name of its own.
+fn own_right(key: &SigningKey, card: &NameCard, entity: Name) -> anyhow::Result<Issued<AdCert>> {
+    let (serial, (not_before, not_after)) = (unix_nanos(), validity(renewals::RENEWABLE));
+    Ok(issue(key, &AdCert { name: card.name(), entity, scope: vec![], serial, not_before, not_after })?.into())
+}
+
+async fn connect(home: &Home, key: &SigningKey) -> anyhow::Result<Node> {
     let address = home.address()?;
-    let identity = Identity::new(SigningKey::load(&home.path("join.pem"))?, "tool");
-    let membership = std::fs::read_to_string(home.path("join.member")).context("join.member")?;
-    let credentials = Some(Credentials { membership: Membership::from_pem(&membership)?, peers: Vec::new() });
+    let identity = Identity::new(key.clone(), "tool");
+    let credentials = Some(Credentials { membership: home.membership(renewals::JOIN)?, peers: Vec::new() });
     let target = address.local();
     let links = vec![LinkConfig { target: target.clone(), switch: Some(address.switch), budget: None }];
     let config = NodeConfig { links, credentials, ..NodeConfig::new(identity, target) };

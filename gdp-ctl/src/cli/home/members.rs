@@ -1,20 +1,18 @@
 //! The members that have joined, as the join service stores them.
 
 use anyhow::Context as _;
-use gdp_core::cert::Revocation;
+use gdp_core::cert::{Membership, Revocation, Signed};
 use gdp_core::identity::SigningKey;
 use gdp_core::secret_file;
-use gdp_directory::service::{Delegations, JoinService, MAX_STORED};
+use gdp_directory::service::{JoinService, MAX_STORED};
 
-use super::Home;
+use super::{Home, enrollments, renewals, rotate};
 use crate::cli::issuance_log::newest_revocation;
 
 /// Returns the join service with the members that have joined.
 pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
     let domain = home.card()?;
-    let delegations =
-        Delegations { directory: home.signed("directory.delegation")?, join: home.signed("join.delegation")? };
-    let mut service = JoinService::new(SigningKey::load(&home.path("join.pem"))?, domain.name(), delegations);
+    let mut service = JoinService::new(SigningKey::load(&home.path("join.pem"))?, domain.name());
     let members = home.path("directory.members");
     if let Some(bytes) = secret_file::read_optional(&members, MAX_STORED)? {
         service.restore(&bytes).with_context(|| members.display().to_string())?;
@@ -29,8 +27,14 @@ pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
 pub(super) fn update(home: &Home, service: &mut JoinService) -> anyhow::Result<bool> {
     let revoked = revocation(home)?.is_some_and(|revocation| service.revoke(revocation));
     let mut enrolled = false;
-    for enrollment in home.signed_enrollments()? {
+    for enrollment in home.signed_for_members(enrollments::FILE, Signed::from_pem)? {
         enrolled |= service.enroll(enrollment);
+    }
+    for delegation in home.signed_for_members(renewals::FILE, Signed::from_pem)? {
+        service.delegate(delegation);
+    }
+    for membership in home.signed_for_members(rotate::FILE, Membership::from_pem)? {
+        enrolled |= service.readmit(membership);
     }
     let decided = service.decide(home.decisions()?);
     Ok(revoked || enrolled || decided)

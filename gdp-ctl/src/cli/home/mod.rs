@@ -4,9 +4,12 @@
 //! | file | content |
 //! | --- | --- |
 //! | `domain.pem`, `domain.card` | the domain's key, and its card with the ledger beside it |
+//! | `successor.pem` | the key that may sign for the domain if `domain.pem` is lost |
 //! | `switch.pem`, `switch.member`, `gdp.yaml` | the switch with the RIB |
-//! | `join.pem`, `join.member`, `join.cert`, `join.delegation`, `directory.*` | the join service |
-//! | `enrollments` | the newest Enrollment of each label |
+//! | `join.pem`, `join.member` | the join service |
+//! | `*.renewal` | what lets the join service renew the memberships of the server |
+//! | `enrollments`, `renewals` | the newest Enrollment and RenewalDelegation of each label |
+//! | `memberships` | memberships that the domain's key signed in exchange for others |
 //! | `directory.members` | the members that have joined |
 //! | `applications`, `decisions` | machines that ask to join, and what became of them |
 //! | `audit.log` | what was issued and revoked, a JSON object a line |
@@ -21,8 +24,10 @@ mod fleet;
 mod invite;
 mod join_service;
 mod members;
+mod renewals;
 mod revoke;
 mod robots;
+mod rotate;
 mod up;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -31,18 +36,18 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use gdp_core::card::NameCard;
-use gdp_core::cert::{Claims, Signed};
 use gdp_core::link_target::LinkTarget;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use super::domain::Authority;
+use super::domain::{Authority, DomainLedger};
 
 pub use admin::{BackupOutput, LogOutput};
 pub use applications::{ApproveOptions, DecisionOutput, DenyOptions, approve, deny};
 pub use fleet::ApplyOutput;
 pub use invite::InviteOutput;
 pub use robots::RobotsOutput;
+pub use rotate::RotationOutput;
 pub use {admin::Command as AdminCommand, admin::run as admin};
 pub use {fleet::Options as ApplyOptions, fleet::run as apply};
 pub use {invite::Options as InviteOptions, invite::run as invite};
@@ -63,18 +68,25 @@ pub struct HomeOptions {
     /// ~/.config/gdp/home.
     #[arg(long, value_name = "FOLDER", env = "GDP_HOME")]
     dir: Option<PathBuf>,
+    /// Private key of the domain, if it is stored elsewhere, or that of its successor. Default:
+    /// domain.pem in the folder.
+    #[arg(long, value_name = "FILE", env = "GDP_DOMAIN_KEY")]
+    key: Option<PathBuf>,
 }
 
 impl HomeOptions {
     fn home(&self) -> anyhow::Result<Home> {
         let default = || Some(gdp_util::folders::configuration()?.join("home"));
         let folder = self.dir.clone().or_else(default).context("no place for the domain: say where with --dir")?;
-        Ok(Home(folder))
+        Ok(Home { folder, key: self.key.clone() })
     }
 }
 
-/// The folder of a domain.
-struct Home(PathBuf);
+/// The folder of a domain, and its key's file if that is elsewhere.
+struct Home {
+    folder: PathBuf,
+    key: Option<PathBuf>,
+}
 
 /// Where members find the domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,27 +98,44 @@ struct DomainAddress {
     udp: SocketAddr,
     /// Whether the switch may attach XDP programs.
     xdp: bool,
+    /// Seconds for which a membership lasts without a renewal.
+    lifetime: u64,
 }
 
 impl Home {
     fn path(&self, name: &str) -> PathBuf {
-        self.0.join(name)
+        self.folder.join(name)
     }
 
     fn folder(&self) -> &Path {
-        &self.0
+        &self.folder
     }
 
     /// Opens the domain's key and ledger, and locks them.
     fn authority(&self) -> anyhow::Result<Authority> {
-        let key = self.path("domain.pem");
+        self.check_exists()?;
+        let key = self.key.clone().unwrap_or_else(|| self.path("domain.pem"));
         if !key.exists() {
             anyhow::bail!(
-                "there is no domain in {}: make one with `gdp-ctl up`, or say where with --dir",
-                self.0.display()
+                "the domain's key is needed and {} does not exist: say where it is with --key",
+                key.display()
             );
         }
-        Authority::open(&key, None)
+        Authority::open(&key, Some(&self.path("domain.card")))
+    }
+
+    /// Opens the ledger without the domain's key, and locks it.
+    fn ledger(&self) -> anyhow::Result<DomainLedger> {
+        self.check_exists()?;
+        DomainLedger::open(&self.path("domain.card"))
+    }
+
+    fn check_exists(&self) -> anyhow::Result<()> {
+        if !self.path("domain.card").exists() {
+            let folder = self.folder.display();
+            anyhow::bail!("there is no domain in {folder}: make one with `gdp-ctl up`, or say where with --dir");
+        }
+        Ok(())
     }
 
     fn card(&self) -> anyhow::Result<NameCard> {
@@ -122,12 +151,6 @@ impl Home {
         let path = self.path("address");
         let text = std::fs::read_to_string(&path).with_context(|| format!("{}: run `gdp-ctl up`", path.display()))?;
         serde_json::from_str(&text).with_context(|| path.display().to_string())
-    }
-
-    fn signed<T: Claims>(&self, name: &str) -> anyhow::Result<Signed<T>> {
-        let path = self.path(name);
-        let text = std::fs::read_to_string(&path).with_context(|| format!("{}: run `gdp-ctl up`", path.display()))?;
-        Signed::from_pem(&text).with_context(|| path.display().to_string())
     }
 }
 

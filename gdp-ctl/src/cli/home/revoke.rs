@@ -29,27 +29,35 @@ pub(super) fn revoke(home: &Home, labels: &[String], context: &Context) -> anyho
     let authority = home.authority()?;
     let mut chosen = Vec::new();
     for label in labels {
-        let of: Vec<&Issue> = authority.issued.iter().filter(|issue| issue.label.as_ref() == Some(label)).collect();
+        let of: Vec<&Issue> =
+            authority.ledger.issued.iter().filter(|issue| issue.label.as_ref() == Some(label)).collect();
         if of.is_empty() {
             bail!("nothing was issued to {label}; `gdp-ctl robots` lists the labels");
         }
-        let holds = of.iter().filter(|issue| !issue.is_revoked(authority.revocation.as_ref()));
+        let holds = of.iter().filter(|issue| !issue.is_revoked(authority.ledger.revocation.as_ref()));
         chosen.extend(holds.map(|issue| (label, issue.serial)));
     }
     let again = format!("gdp-ctl revoke {}", labels.join(" "));
     if chosen.is_empty() {
-        let known = authority.issuance_log.revocation()?;
+        let known = authority.ledger.issuance_log.revocation()?;
         let (signed, claims) = known.context("nothing is revoked")?;
         note("gdp-ctl: revoked already; publishing it again");
-        return publish(&authority.issuance_log, signed, &claims, true, &again, context);
+        return publish(&authority.ledger.issuance_log, signed, &claims, true, &again, context);
     }
     let serials: Vec<u64> = chosen.iter().map(|(_, serial)| *serial).collect();
     // What the join service stores is for the text only.
     let joined = members::stored(home).map_or_else(|_| Vec::new(), |service| service.rows(unix_seconds()));
-    let (name, known) = (authority.identity.name(), authority.revocation.as_ref());
-    let claims = next(name, known, &authority.issued, &serials, None, unix_seconds())?;
+    let (name, known) = (authority.identity.name(), authority.ledger.revocation.as_ref());
+    let claims = next(name, known, &authority.ledger.issued, &serials, None, unix_seconds())?;
     let signed = issue(authority.identity.key(), &claims)?;
-    authority.issuance_log.keep_revocation(&signed)?;
+    authority.ledger.issuance_log.keep_revocation(&signed)?;
+    // Nobody renews them any more.
+    let until = unix_seconds() + home.address()?.lifetime;
+    let ended = |issue: &Issue| match serials.contains(&issue.serial) {
+        true => Issue { ends: issue.ends.min(until), ..issue.clone() },
+        false => issue.clone(),
+    };
+    authority.ledger.issuance_log.keep_ledger(authority.ledger.issued.iter().map(ended).collect())?;
     for (label, serial) in &chosen {
         home.record("revoke", label, &[*serial])?;
         match joined.iter().find(|row| row.enrollment.member == *serial) {
@@ -57,5 +65,5 @@ pub(super) fn revoke(home: &Home, labels: &[String], context: &Context) -> anyho
             None => note(format_args!("{label}: its membership or invitation is revoked")),
         }
     }
-    publish(&authority.issuance_log, signed, &claims, true, &again, context)
+    publish(&authority.ledger.issuance_log, signed, &claims, true, &again, context)
 }

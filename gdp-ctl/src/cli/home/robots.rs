@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use clap::Args;
 use gdp_core::cert::TopicsOf;
-use gdp_core::cert::domain::roles;
 use gdp_core::name::NamePrefix;
 use gdp_directory::fingerprint;
 use gdp_directory::messages::Application;
@@ -15,6 +14,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::renewals::is_of_server;
 use super::{HomeOptions, members};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
@@ -49,23 +49,32 @@ struct MemberOutput {
     read: Vec<String>,
     /// End of the membership, in Unix seconds.
     until: u64,
+    /// Time until which the join service renews the membership, in Unix seconds.
+    renews_until: u64,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
-    let authority = home.authority()?;
+    let ledger = home.ledger()?;
     let now = unix_seconds();
     let service = members::stored(&home)?;
     let joined: BTreeMap<u64, MemberRow> =
         service.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
     let of = |rules: &[TopicsOf]| -> Vec<String> { rules.iter().map(ToString::to_string).collect() };
-    let is_member =
-        |issue: &&Issue| matches!(&issue.to, To::Invited { role } if role != roles::APPLICANT) && issue.label.is_some();
+    let labels: BTreeSet<&str> = joined.values().map(|row| row.enrollment.label.as_str()).collect();
+    let is_member = |issue: &&Issue| {
+        let (To::Invited { role } | To::Member { role, .. }, Some(label)) = (&issue.to, &issue.label) else {
+            return false;
+        };
+        // Not what a later certificate of the same member replaced.
+        let is_replaced = labels.contains(label.as_str()) && !joined.contains_key(&issue.serial);
+        !is_of_server(role) && !is_replaced
+    };
     let member = |issue: &Issue| {
         let row = joined.get(&issue.serial);
         let state = match (row, &online) {
-            _ if issue.is_revoked(authority.revocation.as_ref()) => "revoked",
+            _ if issue.is_revoked(ledger.revocation.as_ref()) => "revoked",
             _ if service.has_left(issue.serial) => "left",
             (Some(row), Some(online)) if online.contains(&row.entity) => "online",
             (Some(_), Some(_)) => "offline",
@@ -81,7 +90,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             expose: row.map_or_else(Vec::new, |row| row.enrollment.expose.clone()),
             import: row.map_or_else(Vec::new, |row| of(&row.enrollment.import)),
             read: row.map_or_else(Vec::new, |row| of(&row.enrollment.read)),
-            until: issue.ends,
+            until: row.map_or(issue.ends, |row| row.until),
+            renews_until: issue.ends,
         }
     };
     let decisions = home.decisions()?;
@@ -95,8 +105,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         import: of(&import),
         read: of(&read),
         until: 0,
+        renews_until: 0,
     });
-    let members = authority.issued.iter().filter(is_member).map(member).chain(waiting).collect();
+    let members = ledger.issued.iter().filter(is_member).map(member).chain(waiting).collect();
     let output = RobotsOutput { members };
     context.output.print(&output, || {
         let row = |member: &MemberOutput| {
@@ -104,6 +115,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             let entity = member.fingerprint.clone().unwrap_or(entity);
             let ends = match member.until {
                 0 => format!("gdp-ctl approve {}", member.label),
+                until if until < member.renews_until => format!("{}, renews", rounded(until.saturating_sub(now))),
                 until => rounded(until.saturating_sub(now)),
             };
             let lists = [&member.expose, &member.import, &member.read];

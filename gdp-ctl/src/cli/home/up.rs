@@ -19,9 +19,11 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use super::create::{DomainOptions, Made};
 use super::invite::Terms;
-use super::{DAY, HOUR, Home, HomeOptions, members, revoke};
+use super::renewals::RENEWABLE;
+use super::{HOUR, Home, HomeOptions, members, revoke};
 use crate::cli::context::Context;
 use crate::cli::issuance_log::newest_revocation;
+use crate::cli::issuing::parse_seconds;
 use crate::cli::revocation;
 use gdp_directory::SERVER;
 
@@ -50,6 +52,10 @@ pub struct Options {
     /// Attach no XDP program, now and later; forward in userspace.
     #[arg(long)]
     no_xdp: bool,
+    /// Time for which a membership lasts without a renewal. The join service renews it after half
+    /// of it, while the member is connected. Default: as before, else 60d.
+    #[arg(long, value_name = "TIME", value_parser = parse_seconds)]
+    lifetime: Option<u32>,
     /// Start no proxy here, so that members' topics are not in this machine's ROS graph.
     #[arg(long)]
     no_ros: bool,
@@ -60,8 +66,13 @@ pub struct Options {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let socket = context.socket.as_deref();
-    let made =
-        home.create(&DomainOptions { at: options.at.as_deref(), udp: options.udp, no_xdp: options.no_xdp, socket })?;
+    let made = home.create(&DomainOptions {
+        at: options.at.as_deref(),
+        udp: options.udp,
+        no_xdp: options.no_xdp,
+        lifetime: options.lifetime.map(u64::from),
+        socket,
+    })?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -225,7 +236,7 @@ impl Home {
         let address = self.address()?;
         let read = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: vec!["/**".into()] }];
         let (label, role) = (SERVER.to_owned(), SERVER.to_owned());
-        let (duration, within) = (365 * DAY, HOUR);
+        let (duration, within) = (RENEWABLE, HOUR);
         let terms = Terms { label, role, expose: vec![], import: vec![], read, duration, within };
         let (token, _) = self.invite(terms, address.local(), &address)?;
         secret_file::replace(&path, token.to_line().as_bytes())?;
@@ -252,10 +263,8 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
         false => "none".to_owned(),
     };
     terminal::print([
-        format!(
-            "Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)",
-            made.domain
-        ),
+        format!("Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem", made.domain),
+        format!("Spare key {folder}/successor.pem: move it to a safe place; it replaces a lost domain.pem"),
         format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, address.udp),
         format!("Members   dial {}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),

@@ -33,7 +33,7 @@ fn a_list_that_is_full_says_how_to_go_on() {
     let serials: Vec<u64> = (0..=MAX_REVOKED as u64).collect();
     assert!(revoke(None, &[], &serials[1..], None).is_ok());
     assert!(revoke(None, &[], &serials, None).unwrap_err().to_string().contains("--all"));
-    let last = Revocation { name: Name::default(), number: u64::MAX, floor: 0, revoked: vec![] };
+    let last = Revocation { name: Name::default(), number: u64::MAX, floor: 0, revoked: vec![], signer: None };
     assert!(revoke(Some(&last), &[], &[1], None).is_err());
 }
 
@@ -41,7 +41,7 @@ fn a_list_that_is_full_says_how_to_go_on() {
 fn serials_rise_also_if_the_clock_is_set_back() {
     assert!(next_serial::<Item>(&[], None).unwrap() > 1_700_000_000_000_000_000);
     let later = serial_now() + 300_000_000_000;
-    let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked };
+    let revocation = |floor, revoked| Revocation { name: Name::default(), number: 1, floor, revoked, signer: None };
     assert_eq!(next_serial::<Item>(&[], Some(&revocation(later, vec![]))).unwrap(), later);
     assert_eq!(next_serial::<Item>(&[], Some(&revocation(0, vec![later]))).unwrap(), later + 1);
     assert_eq!(next_serial(&[Item { serial: later, ends: 0 }], None).unwrap(), later + 1);
@@ -52,11 +52,11 @@ fn serials_rise_also_if_the_clock_is_set_back() {
 fn serials_of_the_far_future_are_passed_over_and_revoked_with_all_others() {
     let far = serial_now() + 86_400_000_000_000;
     for far in [far, u64::MAX] {
-        let revocation = Revocation { name: Name::default(), number: 1, floor: 0, revoked: vec![far] };
+        let revocation = Revocation { name: Name::default(), number: 1, floor: 0, revoked: vec![far], signer: None };
         let next = next_serial(&[Item { serial: far, ends: NOW }], Some(&revocation)).unwrap();
         assert!(next < far - 1, "{next}");
     }
-    let floored = Revocation { name: Name::default(), number: 1, floor: far, revoked: vec![] };
+    let floored = Revocation { name: Name::default(), number: 1, floor: far, revoked: vec![], signer: None };
     let error = next_serial::<Item>(&[], Some(&floored)).unwrap_err().to_string();
     assert!(error.contains("check the clock"), "{error}");
 

@@ -378,7 +378,7 @@ impl Owner {
 
     /// Revokes the certificates with these serials.
     pub fn revocation(&self, number: u64, revoked: Vec<u64>) -> Signed<Revocation> {
-        issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked }).unwrap()
+        issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked, signer: None }).unwrap()
     }
 }
 

@@ -9,7 +9,7 @@ use gdp_core::identity::SigningKey;
 fn revocation() -> (NameProof, Signed<Revocation>, Revocation) {
     let owner = SigningKey::generate().unwrap();
     let proof = NameProof { owner_key: owner.public(), digest: [1; 32] };
-    let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1] };
+    let claims = Revocation { name: proof.name().unwrap(), number: 1, floor: 0, revoked: vec![1], signer: None };
     (proof, issue(&owner, &claims).unwrap(), claims)
 }
 

@@ -59,7 +59,7 @@ fn who_has_left_is_told_to_the_calls_that_wait_there_and_to_no_others() {
     let _ = parties.take(2, &SERVICE, &[joined(1, 1)]);
     assert!(one.has_left(), "its return is of no use to them");
     assert_eq!(parties.instances(|_| None).iter().map(|one| one.waiting).sum::<usize>(), 2);
-    let revocation = Revocation { name: SERVICE, number: 1, floor: 0, revoked: vec![2] };
+    let revocation = Revocation { name: SERVICE, number: 1, floor: 0, revoked: vec![2], signer: None };
     let _ = parties.take(3, &SERVICE, &[PeerEvent::Revoked(revocation)]);
     assert_eq!(parties.sweep(3, 0), BTreeSet::from([name(2)]));
     assert!(two.has_left() && !three.has_left());

@@ -49,7 +49,7 @@ impl Owner {
     pub fn revocation(&self, mut revoked: Vec<u64>) -> Result<Signed<Revocation>> {
         revoked.sort_unstable();
         let number = self.numbers.fetch_add(1, Ordering::Relaxed);
-        Ok(issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked })?)
+        Ok(issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked, signer: None })?)
     }
 
     pub async fn publish(&self, node: &Node, options: PublishOptions) -> Result<Publisher> {

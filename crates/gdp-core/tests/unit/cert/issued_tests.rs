@@ -92,7 +92,8 @@ fn what_is_revoked_or_below_the_floor_does_not_hold() {
     let delegation = Delegation { serial: ISSUED - 10, ..f.delegation() };
     let (owners, delegates) = (Issued::from(issue(&f.owner, &cert).unwrap()), f.by_delegate(&cert, &delegation));
     let reading = Reading::from(issue(&f.owner, &grant).unwrap());
-    let revocation = |floor, revoked: &[u64]| Revocation { name: f.name, number: 4, floor, revoked: revoked.to_vec() };
+    let revocation =
+        |floor, revoked: &[u64]| Revocation { name: f.name, number: 4, floor, revoked: revoked.to_vec(), signer: None };
     let revoked = |what, serial, floor| Err(CertError::Revoked { what, serial, floor, number: 4 });
 
     for (what, revocation, expected) in [
@@ -126,7 +127,7 @@ fn what_is_revoked_or_below_the_floor_does_not_hold() {
 #[test]
 fn a_revocation_is_only_replaced_by_a_later_one() {
     let f = Fixture::new();
-    let held = Revocation { name: f.name, number: 5, floor: 0, revoked: vec![1, 2] };
+    let held = Revocation { name: f.name, number: 5, floor: 0, revoked: vec![1, 2], signer: None };
     held.check_replaces(None).unwrap();
     held.check_replaces(Some(&held)).unwrap();
     Revocation { number: 6, revoked: vec![], ..held.clone() }.check_replaces(Some(&held)).unwrap();
@@ -166,6 +167,7 @@ fn an_invited_member_has_no_role_for_grants() {
         domain: f.domain.proof(),
         cert: issue(&invited, &f.member()).unwrap(),
         invite: Some(issue(f.domain.key(), &invite).unwrap()),
+        renewal: None,
     };
     membership.verify(domain, None, NOW).unwrap();
     let reading = Reading { member: Some(membership.into()), ..f.role_reading(|_| ()) };
@@ -195,14 +197,23 @@ fn each_way_not_to_have_the_role_has_its_error() {
         ("the domain's key by another name", Membership::issue(&renamed, &claims(renamed.name())).unwrap()),
         (
             "a certificate that names another domain",
-            Membership { domain: f.domain.proof(), cert: issue(f.domain.key(), &claims(other)).unwrap(), invite: None },
+            Membership {
+                domain: f.domain.proof(),
+                cert: issue(f.domain.key(), &claims(other)).unwrap(),
+                invite: None,
+                renewal: None,
+            },
         ),
     ] {
         let error = refused(Reading { member: Some(member.into()), ..f.role_reading(|_| ()) });
         assert!(matches!(error, CertError::WrongDomain { .. }), "{what}: {error}");
     }
-    let forged =
-        Membership { domain: f.domain.proof(), cert: issue(foreign.key(), &f.member()).unwrap(), invite: None };
+    let forged = Membership {
+        domain: f.domain.proof(),
+        cert: issue(foreign.key(), &f.member()).unwrap(),
+        invite: None,
+        renewal: None,
+    };
     let error = refused(Reading { member: Some(forged.into()), ..f.role_reading(|_| ()) });
     assert!(matches!(error, CertError::WrongKey { what: "MemberCert", .. }), "{error}");
     assert!(Membership::issue(&foreign, &f.member()).is_err(), "not its member to name");
@@ -255,7 +266,7 @@ fn a_chain_survives_its_file_and_its_message() {
 #[test]
 fn a_serial_of_the_far_future_never_holds() {
     let f = Fixture::new();
-    let all = Revocation { name: f.name, number: 1, floor: ISSUED + 1, revoked: vec![] };
+    let all = Revocation { name: f.name, number: 1, floor: ISSUED + 1, revoked: vec![], signer: None };
     let again = Delegation { serial: ISSUED + 1, ..f.delegation() };
     for serial in [last_serial(NOW) + 1, u64::MAX] {
         let later = |what| CertError::IssuedLater { what, serial, now: NOW };

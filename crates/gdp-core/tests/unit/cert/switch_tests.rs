@@ -5,6 +5,7 @@ use super::{
     CertError, Host, Invite, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR, MemberCert, Membership, Revocation,
     SwitchStatement, issue,
 };
+use super::{MembershipRenewal, RenewalDelegation};
 use crate::cbor;
 use crate::identity::{Identity, SigningKey};
 use crate::name::Name;
@@ -23,7 +24,7 @@ fn a_switch_is_of_a_domain_only_if_all_of_it_fits() {
         assert_eq!(cbor::decode::<Host>(&bytes, bytes.len()).unwrap(), right);
     }
     let right = host(&domain, &switch, roles::SWITCH);
-    let revoked = Revocation { name: domain.name(), number: 1, floor: 8, revoked: vec![] };
+    let revoked = Revocation { name: domain.name(), number: 1, floor: 8, revoked: vec![], signer: None };
     assert!(matches!(right.verify(domain.name(), Some(&revoked), NOW), Err(CertError::Revoked { .. })));
     assert!(matches!(right.verify(domain.name(), None, 201), Err(CertError::Expired { .. })));
     assert!(matches!(right.verify(other.name(), None, NOW), Err(CertError::WrongDomain { .. })));
@@ -117,10 +118,21 @@ fn a_locator_is_of_borders_and_bounded() {
     let cert = MemberCert { domain: domain.name(), entity: switch.name(), role, serial, not_before, not_after };
     let addresses = vec!["[ffff:ffff:ffff:ffff:ffff:ffff:ffff:ffff]:65535".parse().unwrap(); MAX_ADDRESSES];
     let claims = SwitchStatement { addresses, serial, not_after, ..statement(&domain, &switch) };
+    let terms = RenewalDelegation {
+        domain: domain.name(),
+        member: serial,
+        key: key.verify_key(),
+        lifetime: 60,
+        serial,
+        not_before,
+        not_after,
+    };
+    let delegation = issue(domain.key(), &terms).unwrap();
     let membership = Membership {
         domain: domain.proof(),
         cert: issue(&key, &cert).unwrap(),
         invite: Some(issue(domain.key(), &invite).unwrap()),
+        renewal: Some(MembershipRenewal { delegation, cert: issue(&key, &cert).unwrap() }),
     };
     let largest = Host { statement: issue(switch.key(), &claims).unwrap(), membership, ..border };
     let size = Locator { borders: vec![largest; MAX_LOCATED] }.size();

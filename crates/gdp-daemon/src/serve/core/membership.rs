@@ -14,7 +14,7 @@ use gdp_wire::Name;
 
 use super::follow_up::{FollowUp, refuse};
 use crate::config::Inside;
-use crate::domain::{Admission, Credentials, Domain};
+use crate::domain::{Admission, Admitted, Credentials, Domain};
 
 /// The domain membership of a switch, if it has one.
 #[derive(Default)]
@@ -56,7 +56,8 @@ impl Membership {
         let (entity, membership) = (link.peer().name, &credentials.membership);
         let invite = membership.invite_unverified().ok()??;
         let is_own = membership.domain.name().is_ok_and(|name| name == domain.trust.home());
-        let is_known = domain.invitations.has_admitted(invite.serial, &entity);
+        let until = membership.until_unverified().ok()?;
+        let is_known = domain.invitations.has_admitted(invite.serial, &entity, until);
         (is_own && !is_known).then(|| Request::Admitted {
             switch: own,
             entity,
@@ -80,10 +81,12 @@ impl Membership {
         if cert.entity != entity {
             return refuse(RefusalCode::WrongEntity, format!("the membership is of {}, not of {entity}", cert.entity));
         }
-        match domain.invitations.admit(&invite, entity, now) {
-            Ok(new) => {
-                domain.changes += u64::from(new);
-                FollowUp::SaveInvitation { new: new.then_some(invite.serial) }
+        let known = domain.invitations.get(invite.serial).is_some();
+        let admitted = Admitted { entity, until: cert.not_after, is_renewed: membership.renewal.is_some() };
+        match domain.invitations.admit(&invite, admitted, now) {
+            Ok(changed) => {
+                domain.changes += u64::from(changed);
+                FollowUp::SaveInvitation { new: (changed && !known).then_some(invite.serial) }
             }
             Err(reason) => refuse(RefusalCode::NotEntitled, reason.to_string()),
         }

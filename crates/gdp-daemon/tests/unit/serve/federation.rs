@@ -107,9 +107,21 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
     h.federation.forget_hosts(Now { clock: ends, ..h.world.now }, &h.rib);
     assert_eq!(located(&h), [].into());
     h.show(&one, &one, roles::BORDER, UNIX + 1000).unwrap();
-    h.federation.recheck_hosts(Some(&Revocation { name: h.home(), number: 1, floor: 7, revoked: vec![] }));
+    h.federation.recheck_hosts(Some(&Revocation {
+        name: h.home(),
+        number: 1,
+        floor: 7,
+        revoked: vec![],
+        signer: None,
+    }));
     assert_eq!(located(&h), [one.name()].into());
-    h.federation.recheck_hosts(Some(&Revocation { name: h.home(), number: 2, floor: 8, revoked: vec![] }));
+    h.federation.recheck_hosts(Some(&Revocation {
+        name: h.home(),
+        number: 2,
+        floor: 8,
+        revoked: vec![],
+        signer: None,
+    }));
     assert_eq!(located(&h), [].into());
 }
 

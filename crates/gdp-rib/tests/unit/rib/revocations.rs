@@ -69,7 +69,7 @@ fn what_a_domain_takes_back_of_a_member_ends_what_it_reads_as_one() {
     }
     w.tell_all();
     assert_eq!(w.counterparts(&robot, NameRole::Publisher), 2);
-    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7] };
+    let claims = Revocation { name: domain.name(), number: 1, floor: 0, revoked: vec![7], signer: None };
     let now = w.now;
     w.rib.domain_revoked(now, &claims);
     w.tell_all();
@@ -123,7 +123,7 @@ fn an_older_revocation_brings_nothing_back() {
     expect_refused(&w.publish(&robot, 0, 1), "below the floor", RefusalCode::Revoked, "revocation 5");
     w.owner = SigningKey::generate().unwrap();
     expect_refused(&w.revoke(6, 0, &[]), "by another", RefusalCode::BadSignature, "wrong key");
-    let claims = Revocation { name: robot.name(), number: 6, floor: 0, revoked: vec![] };
+    let claims = Revocation { name: robot.name(), number: 6, floor: 0, revoked: vec![], signer: None };
     let request = EntityRequest::Revoke { proof: w.card.proof(), revocation: issue(robot.key(), &claims).unwrap() };
     expect_refused(&w.ask(&robot, 0, request), "another name", RefusalCode::BadSignature, "");
 }
@@ -234,7 +234,7 @@ fn a_rib_after_this_one_knows_what_was_revoked() {
 
 /// Has an entity bring the owner's revocation of what is below a floor, for the present name.
 fn revoke_by_link(w: &mut World, entity: &Identity, floor: u64) {
-    let claims = Revocation { name: w.card.name(), number: 1, floor, revoked: vec![] };
+    let claims = Revocation { name: w.card.name(), number: 1, floor, revoked: vec![], signer: None };
     let request = EntityRequest::Revoke { proof: w.card.proof(), revocation: issue(&w.owner, &claims).unwrap() };
     assert!(matches!(w.ask(entity, 0, request), Response::Done));
 }

@@ -107,7 +107,7 @@ fn what_is_stored_is_believed_no_more_than_a_stranger() {
 
     // A revocation of somebody else's making.
     let elsewhere = super::world::World::chain(1);
-    let claims = Revocation { name, number: 9, floor: u64::MAX, revoked: vec![] };
+    let claims = Revocation { name, number: 9, floor: u64::MAX, revoked: vec![], signer: None };
     let revocation = gdp_core::cert::issue(&elsewhere.owner, &claims).unwrap();
     let forged = SignedRevocation { proof: w.card.proof(), revocation, origin: None };
     w.stored = honest.clone();

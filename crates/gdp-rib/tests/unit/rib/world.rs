@@ -175,7 +175,7 @@ impl World {
 
     /// Has the owner of the present name take back what has these serials, or one below the floor.
     pub fn revoke(&mut self, number: u64, floor: u64, revoked: &[u64]) -> Response {
-        let claims = Revocation { name: self.card.name(), number, floor, revoked: revoked.to_vec() };
+        let claims = Revocation { name: self.card.name(), number, floor, revoked: revoked.to_vec(), signer: None };
         let request =
             EntityRequest::Revoke { proof: self.card.proof(), revocation: issue(&self.owner, &claims).unwrap() };
         self.rib.request(self.now, self.switch(0), None, true, &request)

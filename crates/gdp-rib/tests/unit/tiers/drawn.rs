@@ -93,7 +93,7 @@ fn a_switch_that_is_known_is_believed_no_longer_than_it_would_be_otherwise() {
     assert_eq!((v.counted("expired"), v.entries()), (1, 1), "the first ends on the clock");
     v.w.now = now;
     assert!(matches!(v.push(part(right.clone())), TierResponse::Done));
-    v.w.revocations.0.insert(child, Revocation { name: child, number: 1, floor: 100, revoked: vec![] });
+    v.w.revocations.0.insert(child, Revocation { name: child, number: 1, floor: 100, revoked: vec![], signer: None });
     let another = v.part_in(2, 2, 102, &[0]);
     v.push(part(another));
     assert_eq!((v.counted("revoked"), v.entries()), (1, 2));

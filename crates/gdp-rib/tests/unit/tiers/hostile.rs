@@ -165,7 +165,7 @@ fn a_border_that_does_not_verify_hides_no_other() {
     assert_eq!((names, v.counted("replayed")), (vec![other_name], 1));
     assert_eq!(push(&mut v, &[&good, &other]).0, [name, other_name]);
 
-    let revocation = Revocation { name: child, number: 1, floor: 8, revoked: vec![] };
+    let revocation = Revocation { name: child, number: 1, floor: 8, revoked: vec![], signer: None };
     v.w.revocations.0.insert(child, revocation);
     let now = v.w.now;
     v.w.domains[0].tiers.reconsider(now, child, None, &v.w.revocations);

@@ -213,7 +213,7 @@ fn what_is_taken_back_is_forgotten_on_the_way() {
     w.run(MOMENT);
     w.check("before");
     let domain = w.domains[3].identity.name();
-    w.revocations.0.insert(domain, Revocation { name: domain, number: 1, floor: 8, revoked: vec![] });
+    w.revocations.0.insert(domain, Revocation { name: domain, number: 1, floor: 8, revoked: vec![], signer: None });
     let now = w.now;
     w.domains[0].tiers.reconsider(now, domain, None, &w.revocations);
     w.run(MOMENT);

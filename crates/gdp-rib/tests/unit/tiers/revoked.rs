@@ -118,7 +118,9 @@ fn who_reads_for_a_role_that_its_domain_takes_back_is_forgotten() {
     part.record.advert = issue(entity.key(), &advert).unwrap();
     let entry = || vec![TierEntry::Part(Box::new(part.clone()))];
     assert!(matches!(v.push(entry()), TierResponse::Done));
-    v.w.revocations.0.insert(third.name(), Revocation { name: third.name(), number: 1, floor: 8, revoked: vec![] });
+    v.w.revocations
+        .0
+        .insert(third.name(), Revocation { name: third.name(), number: 1, floor: 8, revoked: vec![], signer: None });
     let now = v.w.now;
     v.w.domains[0].tiers.reconsider(now, third.name(), None, &v.w.revocations);
     assert_eq!((v.entries(), v.counted("revoked")), (0, 1));

@@ -528,7 +528,7 @@ pub fn host(domain: &Identity, switch: &Identity, role: &str, not_after: u64) ->
 /// That the owner of a topic has taken back all with these serials.
 pub fn revocation(topic: usize, number: u64, revoked: Vec<u64>) -> SignedRevocation {
     let (owner, proof) = owner(topic);
-    let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
+    let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked, signer: None };
     SignedRevocation { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
 }
 
