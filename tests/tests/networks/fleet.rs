@@ -55,8 +55,7 @@ fn twenty_robots_join_by_one_file_and_outlive_the_loss_of_their_server() -> Resu
     ensure!(again.contains("has a domain already"), "{again}");
     scene.up()?;
     ensure!(scene.joined()? == ROBOTS - 2, "they are members still");
-    let mut robot =
-        Process::spawn("robot2", scene.proxy(&["--config", &scene.path("robot2/proxy.yaml")])?, scene.files.path())?;
+    let mut robot = scene.run("robot2")?;
     robot.wait_until("the directory", TIMEOUT, |robot| robot.stderr().contains("what=directory").then_some(()))?;
     let log = scene.ctl(&["admin", "log"])?;
     for action in ["invite", "enroll", "revoke", "restore"] {
@@ -78,10 +77,7 @@ fn one_key_in_two_programs_is_refused_to_the_later_one_with_the_address_of_the_o
         let file = file?;
         std::fs::copy(file.path(), scene.files.path().join("clone").join(file.file_name()))?;
     }
-    let start = |label: &str| -> Result<Process> {
-        let config = scene.path(&format!("{label}/proxy.yaml"));
-        Process::spawn(label, scene.proxy(&["--config", &config])?, scene.files.path())
-    };
+    let start = |label: &str| scene.run(label);
     let is_attached = |proxy: &Process| proxy.stderr().contains("what=directory").then_some(());
     let mut first = start("robot7")?;
     first.wait_until("the directory", TIMEOUT, is_attached)?;
@@ -153,21 +149,21 @@ fn errors_of_invite_join_and_apply_name_the_remedy() -> Result<()> {
 }
 
 /// A server and its robots on one machine. No robot has a ROS graph.
-struct Scene {
+pub(super) struct Scene {
     // Fields drop in this order: programs, network, files.
     up: Option<Process>,
-    server: Namespace,
-    tools: Tools,
-    files: tempfile::TempDir,
+    pub server: Namespace,
+    pub tools: Tools,
+    pub files: tempfile::TempDir,
 }
 
 impl Scene {
-    fn build() -> Result<Self> {
+    pub fn build() -> Result<Self> {
         let server = Namespace::create("server")?;
         Ok(Self { up: None, server, tools: Tools::beside_this_test()?, files: tempfile::tempdir()? })
     }
 
-    fn path(&self, name: &str) -> String {
+    pub fn path(&self, name: &str) -> String {
         self.files.path().join(name).display().to_string()
     }
 
@@ -183,22 +179,31 @@ impl Scene {
         Ok(command)
     }
 
-    fn up(&mut self) -> Result<()> {
+    pub fn up(&mut self) -> Result<()> {
         self.start(&["up", "--at", "127.0.0.1", "--no-ros"])
     }
 
-    fn stop(&mut self) -> Result<()> {
+    pub fn stop(&mut self) -> Result<()> {
         self.up.take().context("the server")?.stop(TIMEOUT).map(drop)
     }
 
     /// Waits until the switch tells a robot that it is revoked.
-    fn refuses(&self, label: &str) -> Result<()> {
-        let command = self.proxy(&["--config", &self.path(&format!("{label}/proxy.yaml"))])?;
-        let mut robot = Process::spawn(label, command, self.files.path())?;
-        robot.wait_until("a refusal", TIMEOUT, |robot| robot.stderr().contains("revo").then_some(()))
+    pub fn refuses(&self, label: &str) -> Result<()> {
+        self.refuses_for(label, "revo")
     }
 
-    fn start(&mut self, arguments: &[&str]) -> Result<()> {
+    pub fn refuses_for(&self, label: &str, reason: &str) -> Result<()> {
+        let mut robot = self.run(label)?;
+        robot.wait_until("a refusal", TIMEOUT, |robot| robot.stderr().contains(reason).then_some(()))
+    }
+
+    /// Starts the proxy of a member.
+    pub fn run(&self, label: &str) -> Result<Process> {
+        let command = self.proxy(&["--config", &self.path(&format!("{label}/proxy.yaml"))])?;
+        Process::spawn(label, command, self.files.path())
+    }
+
+    pub fn start(&mut self, arguments: &[&str]) -> Result<()> {
         let command = self.command(arguments)?;
         let mut up = Process::spawn("up", command, self.files.path())?;
         up.wait_until("the domain", TIMEOUT, |up| up.stdout().contains("Next").then_some(()))?;
@@ -206,18 +211,18 @@ impl Scene {
         Ok(())
     }
 
-    fn ctl(&self, arguments: &[&str]) -> Result<String> {
+    pub fn ctl(&self, arguments: &[&str]) -> Result<String> {
         execute(&mut self.command(arguments)?)
     }
 
     #[track_caller]
-    fn refused(&self, arguments: &[&str], remedy: &str) -> Result<()> {
+    pub fn refused(&self, arguments: &[&str], remedy: &str) -> Result<()> {
         let said = self.ctl(arguments).err().map_or_else(String::new, |error| format!("{error:#}"));
         ensure!(said.contains(remedy), "{arguments:?}: {remedy} is not in: {said}");
         Ok(())
     }
 
-    fn join(&self, label: &str, line: &str) -> Result<()> {
+    pub fn join(&self, label: &str, line: &str) -> Result<()> {
         let mut command = self.proxy(&["join", "--no-run", "--dir", &self.path(label)])?;
         execute(command.env("GDP_INVITATION", line)).map(drop)
     }
@@ -236,13 +241,13 @@ impl Scene {
         Ok(rows.into_iter().filter(|row| row.get("label").is_some()).collect())
     }
 
-    fn robots(&self) -> Result<Vec<Value>> {
+    pub fn robots(&self) -> Result<Vec<Value>> {
         let robots: Value = serde_json::from_str(&self.ctl(&["-j", "robots"])?)?;
         robots["members"].as_array().cloned().context("a list")
     }
 
     /// Returns the number of members that have joined.
-    fn joined(&self) -> Result<usize> {
+    pub fn joined(&self) -> Result<usize> {
         Ok(self
             .robots()?
             .iter()

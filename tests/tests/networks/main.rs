@@ -4,6 +4,7 @@
 mod churn;
 mod defaults;
 mod doctor;
+mod domain_keys;
 mod domains;
 mod dpdk;
 mod ecn;

@@ -18,7 +18,7 @@ pub const MAX_ADDRESSES: usize = 8;
 pub const MAX_LOCATED: usize = 8;
 
 /// Maximum bytes of all signed parts in a locator.
-pub const MAX_LOCATOR: usize = 16 << 10;
+pub const MAX_LOCATOR: usize = 24 << 10;
 
 /// Statement of a switch to other domains: its domain and its addresses. The switch signs it with
 /// its own key, and its highest serial counts.

@@ -107,7 +107,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let line = match change {
             Difference::Invite(terms) if options.yes => {
                 let address = home.address()?;
-                let (token, _) = home.invite(terms, address.target()?, &address)?;
+                let (token, _) = home.invite(terms, address.target()?, address.switch)?;
                 Some(token.to_line().to_string())
             }
             Difference::Enroll(enrollment) if options.yes => {

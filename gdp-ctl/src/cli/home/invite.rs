@@ -12,6 +12,7 @@ use gdp_core::link_target::LinkTarget;
 use gdp_directory::{SERVER, join_card, of_server};
 use gdp_util::date::rounded;
 use gdp_util::terminal::note;
+use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -19,6 +20,7 @@ use super::renewals::RENEWABLE;
 use super::{APPLICANTS, DAY, Home, HomeOptions, enrollments, renewals};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
+use crate::cli::entity::parse_entity;
 use crate::cli::issuing::{parse_seconds, validity};
 
 #[derive(Debug, Args)]
@@ -47,6 +49,13 @@ pub struct Options {
     /// Role of the new member in grants.
     #[arg(long, default_value = "robot")]
     role: String,
+    /// Address of another switch of the domain that the new member dials, such as
+    /// udp://192.0.2.7:31415. Default: that of `gdp-ctl up`.
+    #[arg(long, value_name = "LINK", requires = "switch")]
+    at: Option<LinkTarget>,
+    /// Switch at that address: its name, as printed by `gdp-ctl status` there, or its key file.
+    #[arg(long, value_name = "NAME|FILE", requires = "at", value_parser = parse_entity)]
+    switch: Option<Name>,
     #[command(flatten)]
     home: HomeOptions,
 }
@@ -81,7 +90,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let address = home.address()?;
     let terms = options.terms()?;
     let (label, is_standing) = (terms.label.clone(), terms.role == roles::APPLICANT);
-    let (token, claims) = home.invite(terms, address.target()?, &address)?;
+    let at = options.at.clone().map_or_else(|| address.target(), Ok)?;
+    let (token, claims) = home.invite(terms, at, options.switch.unwrap_or(address.switch))?;
     let line = token.to_line();
     let Invite { not_after: use_until, member_until, .. } = claims;
     if !context.output.json {
@@ -133,16 +143,11 @@ impl Options {
 
 impl Home {
     /// Makes an invitation that enrolls the new member.
-    pub(super) fn invite(
-        &self,
-        terms: Terms,
-        at: LinkTarget,
-        address: &super::DomainAddress,
-    ) -> anyhow::Result<(Token, Invite)> {
+    pub(super) fn invite(&self, terms: Terms, at: LinkTarget, switch: Name) -> anyhow::Result<(Token, Invite)> {
         let invited = SigningKey::generate()?;
         let (invite, enrolling, claims) = self.sign_invitation(terms, invited.verify_key())?;
         let card = self.card()?;
-        let token = Token::new(card.proof(), invite, invited, at, Some(address.switch))?;
+        let token = Token::new(card.proof(), invite, invited, at, Some(switch))?;
         Ok((token.with_successor(card.successor()).enroll(enrolling)?, claims))
     }
 

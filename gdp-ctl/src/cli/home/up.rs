@@ -238,7 +238,7 @@ impl Home {
         let (label, role) = (SERVER.to_owned(), SERVER.to_owned());
         let (duration, within) = (RENEWABLE, HOUR);
         let terms = Terms { label, role, expose: vec![], import: vec![], read, duration, within };
-        let (token, _) = self.invite(terms, address.local(), &address)?;
+        let (token, _) = self.invite(terms, address.local(), address.switch)?;
         secret_file::replace(&path, token.to_line().as_bytes())?;
         Ok(path)
     }
@@ -263,8 +263,8 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
         false => "none".to_owned(),
     };
     terminal::print([
-        format!("Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem", made.domain),
-        format!("Spare key {folder}/successor.pem: move it to a safe place; it replaces a lost domain.pem"),
+        format!("Domain    {:#}, {state}, with {members} members", made.domain),
+        format!("Keys      {folder}/domain.pem, and successor.pem if that is lost: move it elsewhere"),
         format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, address.udp),
         format!("Members   dial {}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),

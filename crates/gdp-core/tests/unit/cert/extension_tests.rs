@@ -111,7 +111,7 @@ fn unknown_blocks_of_a_file_are_skipped_if_they_are_optional_and_refused_by_name
         (cert.to_pem() + &block("GDP TOW CERT"), "GDP TOW CERT"),
         (block("GDP TOW CERT") + &cert.to_pem(), "GDP TOW CERT"),
         (optional.clone(), "nothing"),
-        (optional.repeat(6) + &cert.to_pem(), "more than 5 blocks"),
+        (optional.repeat(8) + &cert.to_pem(), "more than 7 blocks"),
     ] {
         let error = Issued::<AdCert>::from_pem(&text).unwrap_err().to_string();
         assert!(error.contains(named), "{error}");
