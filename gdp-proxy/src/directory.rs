@@ -2,7 +2,6 @@
 //! them, is then exposed and imported without a section of its own in the configuration. A renewed
 //! membership of this proxy comes with the directory.
 
-use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +17,7 @@ use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use crate::config::{ImportConfig, MemberReader, Pattern, Remap, SharedTopics};
+use crate::config::{ImportConfig, MemberReader, PatternsByKind, Remap, SharedImport, SharedTopics};
 use crate::material::{DirectoryMaterial, ImportMaterial};
 use crate::offload::run_blocking_if_large;
 use crate::permission::Permission;
@@ -102,7 +101,11 @@ fn store_newer(membership: &Membership, file: &Path) -> anyhow::Result<()> {
     };
     let known = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
     let known = Membership::from_pem(&known).with_context(|| file.display().to_string())?;
-    if age(membership)? > age(&known)? {
+    // Only the domain itself replaces the first membership. Its service may renew it.
+    let is_same = membership.serial_unverified()? == known.serial_unverified()?;
+    let role = |membership: &Membership| membership.cert.claims_unverified().map(|claims| claims.role);
+    let is_exchange = membership.invite.is_none() && role(membership)? == role(&known)?;
+    if (is_same || is_exchange) && age(membership)? > age(&known)? {
         secret_file::replace(file, membership.to_pem().as_bytes())?;
         tracing::info!("the membership is renewed, {}", relative(membership.until_unverified()?, unix_seconds()));
     }
@@ -114,10 +117,10 @@ pub fn shared(members: &[Member], own: Name, graph: Option<&str>) -> SharedByDir
     let mut shared = SharedByDirectory::default();
     let Some(me) = members.iter().find(|member| member.entity == own) else { return shared };
     for other in members.iter().filter(|member| member.entity != own) {
-        let topics = patterns(me.readable_by(&other.enrollment));
-        if !topics.is_empty() {
-            shared.exposed.exports.extend(patterns(me.imported_by(&other.enrollment).map(|(here, _)| here)));
-            shared.exposed.readers.push(MemberReader { entity: other.entity, topics });
+        let names = PatternsByKind::of(me.readable_by(&other.enrollment));
+        if !names.is_empty() {
+            shared.exposed.exports.extend(me.imported_by(&other.enrollment).map(|(here, _)| here));
+            shared.exposed.readers.push(MemberReader { entity: other.entity, names });
         }
         shared.imports.extend(import(me, other, graph));
     }
@@ -128,8 +131,8 @@ pub fn shared(members: &[Member], own: Name, graph: Option<&str>) -> SharedByDir
 fn import(me: &Member, other: &Member, graph: Option<&str>) -> Option<(ImportConfig, ImportMaterial)> {
     let (catalog, grant) = (other.catalog.clone()?, Reading::from(other.grant.clone()?));
     let label = &other.enrollment.label;
-    let topics = patterns(other.readable_by(&me.enrollment));
-    if topics.is_empty() {
+    let wanted = PatternsByKind::of(other.readable_by(&me.enrollment));
+    if wanted.is_empty() {
         return None;
     }
     let imported: Vec<_> = other.imported_by(&me.enrollment).collect();
@@ -137,12 +140,17 @@ fn import(me: &Member, other: &Member, graph: Option<&str>) -> Option<(ImportCon
         let (from, to) = (literal(there)?, literal(here)?);
         Some(Remap { from, to })
     };
+    let PatternsByKind { topics, services, actions } = wanted;
     let config = ImportConfig {
         graph: graph.map(str::to_owned),
         topics,
-        within: Some(patterns(&other.enrollment.expose)),
+        services,
+        actions,
+        shared: Some(SharedImport {
+            within: PatternsByKind::of(&other.enrollment.expose),
+            under_own_names: PatternsByKind::of(imported.iter().map(|(there, _)| there)),
+        }),
         remap: imported.iter().filter_map(remap).collect(),
-        merge: patterns(imported.iter().map(|(there, _)| there)),
         prefix: TopicName::parse(&format!("/{label}")).ok(),
         ..ImportConfig::default()
     };
@@ -156,13 +164,6 @@ fn literal(pattern: &str) -> Option<TopicName> {
     let segments = pattern.split('/').skip(1).take_while(|segment| !segment.contains('*'));
     let text: String = segments.map(|segment| format!("/{segment}")).collect();
     TopicName::parse(&text).ok()
-}
-
-/// Returns the texts that are patterns, each once.
-fn patterns(texts: impl IntoIterator<Item = impl AsRef<str>>) -> Vec<Pattern> {
-    let mut seen = BTreeSet::new();
-    let texts = texts.into_iter().filter(|text| seen.insert(text.as_ref().to_owned()));
-    texts.filter_map(|text| Pattern::parse(text.as_ref()).ok()).collect()
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
+use gdp_core::cert::enrollment::split_kind;
 use gdp_core::cert::{
     AdCert, BACKDATED, Claims as _, Delegation, Enrollment, Grantee, Issued, Membership, ReadGrant, Signed, TopicsOf,
     issue,
@@ -201,28 +202,7 @@ impl Home {
     /// The owner's key stays, because the names of its topics are permanent. Without `force`, the
     /// files stay if the domain does not confirm it.
     pub async fn leave(&self, force: bool) -> Result<Vec<String>> {
-        let config = Config::load(&self.config())?;
-        let directory = NameCard::load(&self.file("directory.card"))?;
-        let identity = Identity::new(SigningKey::load(&self.file("proxy.pem"))?, "proxy");
-        let membership = fs::read_to_string(self.file("membership")).context("membership")?;
-        let call = fs::read_to_string(self.file("join.grant")).context("join.grant")?;
-        let credentials = Credentials { membership: Membership::from_pem(&membership)?, peers: Vec::new() };
-        let links = config.links.iter().map(LinkConfig::from).collect();
-        let first = config.links.first().context("no link")?.to.clone();
-        let node = NodeConfig { links, credentials: Some(credentials), ..NodeConfig::new(identity, first) };
-        let notified = match Node::connect(node).await {
-            Ok(node) => {
-                let card = join_card(*directory.owner_key())?;
-                let reply = ask(&node, &card, Issued::from_pem(&call)?, &JoinRequest::Leave).await;
-                node.close().await;
-                reply.and_then(|reply| match reply {
-                    JoinReply::Left => Ok(()),
-                    JoinReply::Refused(reason) => Err(anyhow!(reason)),
-                    _ => Err(anyhow!("the join service answers another question")),
-                })
-            }
-            Err(error) => Err(error.into()),
-        };
+        let notified = self.notify_leave().await;
         match (notified, force) {
             (Err(error), false) => {
                 let stays = "the domain does not know that this machine leaves, so its files stay. If the proxy runs, \
@@ -243,6 +223,28 @@ impl Home {
                     Err(_) => "Left. Have the domain's administrator revoke this machine by its label.".into(),
                 }])
             }
+        }
+    }
+
+    /// Removes this machine from the domain's directory.
+    async fn notify_leave(&self) -> Result<()> {
+        let config = Config::load(&self.config())?;
+        let directory = NameCard::load(&self.file("directory.card"))?;
+        let identity = Identity::new(SigningKey::load(&self.file("proxy.pem"))?, "proxy");
+        let membership = fs::read_to_string(self.file("membership")).context("membership")?;
+        let call = fs::read_to_string(self.file("join.grant")).context("join.grant")?;
+        let credentials = Credentials { membership: Membership::from_pem(&membership)?, peers: Vec::new() };
+        let links = config.links.iter().map(LinkConfig::from).collect();
+        let first = config.links.first().context("no link")?.to.clone();
+        let node = NodeConfig { links, credentials: Some(credentials), ..NodeConfig::new(identity, first) };
+        let node = Node::connect(node).await?;
+        let reply =
+            ask(&node, &join_card(*directory.owner_key())?, Issued::from_pem(&call)?, &JoinRequest::Leave).await;
+        node.close().await;
+        match reply? {
+            JoinReply::Left => Ok(()),
+            JoinReply::Refused(reason) => Err(anyhow!(reason)),
+            _ => Err(anyhow!("the join service answers another question")),
         }
     }
 
@@ -363,13 +365,19 @@ fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let quoted = |text: &str| escape_json(&serde_json::json!(text).to_string()).into_owned();
     let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
     let to = quoted(&token.at().to_string());
-    let topics: Vec<String> = enrollment.expose.iter().map(|pattern| quoted(pattern)).collect();
-    let topics = topics.join(", ");
+    let list = |wanted: &str| {
+        let of_kind = enrollment.expose.iter().map(|pattern| split_kind(pattern)).filter(|(kind, _)| *kind == wanted);
+        of_kind.map(|(_, pattern)| quoted(pattern)).collect::<Vec<_>>().join(", ")
+    };
+    let calls = [("services", list("service:")), ("actions", list("action:"))];
+    let calls = calls.into_iter().filter(|(_, list)| !list.is_empty());
+    let (topics, calls) = (list(""), calls.map(|(key, list)| format!(", {key}: [{list}]")).collect::<String>());
     let export = if enrollment.label == SERVER { ", export: true" } else { "" };
     format!(
         "version: 1\nidentity: proxy.pem\nlinks: [{{to: {to}{switch}}}]\nstate: state\n\
-         domain: {{card: domain.card, membership: membership}}\ndirectory: {{card: directory.card, grant: directory.grant{export}}}\n\
-         expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]}}\n"
+         domain: {{card: domain.card, membership: membership}}\n\
+         directory: {{card: directory.card, grant: directory.grant{export}}}\n\
+         expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]{calls}}}\n"
     )
 }
 

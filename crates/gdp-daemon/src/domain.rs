@@ -46,8 +46,6 @@ pub struct Admitted {
     pub entity: Name,
     /// The end of the membership in Unix seconds.
     pub until: u64,
-    /// Whether the domain has renewed it.
-    pub is_renewed: bool,
 }
 
 /// The used invitations of this domain. The RIB decides by them, and switches cache its decisions.
@@ -93,8 +91,7 @@ impl Invitations {
     }
 
     /// Decides about an admission as the RIB does: a valid invitation admits the first entity, or
-    /// every applicant. A renewal proves that the domain has admitted the entity before. Returns
-    /// whether the admission is new or lasts longer than was known.
+    /// every applicant. Returns whether the admission is new or lasts longer than was known.
     pub fn admit(&mut self, invite: &Invite, admitted: Admitted, now: u64) -> Result<bool, NotInvited> {
         let serial = invite.serial;
         if invite.role == roles::APPLICANT {
@@ -106,7 +103,7 @@ impl Invitations {
                 return Err(NotInvited::Used { serial, by: used.entity });
             }
             Some(_) => {}
-            None if now > invite.not_after && !admitted.is_renewed => {
+            None if now > invite.not_after => {
                 return Err(NotInvited::TooLate { serial, at: invite.not_after, now });
             }
             None => {}
@@ -125,7 +122,7 @@ impl Invitations {
     }
 
     /// Records an admission that the RIB has decided.
-    pub fn remember(&mut self, invite: &Invite, Admitted { entity, until, .. }: Admitted) {
+    pub fn remember(&mut self, invite: &Invite, Admitted { entity, until }: Admitted) {
         self.take(Used { serial: invite.serial, entity, until: until.max(invite.member_until) });
     }
 

@@ -3,6 +3,7 @@
 use gdp_core::card::{CardError, NameCard};
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
+use gdp_core::cert::enrollment::within_namespace;
 use gdp_core::cert::{Enrollment, Issued, Membership, ReadGrant, Signed};
 use gdp_core::identity::VerifyKey;
 use gdp_core::name::Metadata;
@@ -115,9 +116,7 @@ impl Directory {
         members.dedup_by(|later, first| later.enrollment.label == first.enrollment.label);
         members
     }
-}
 
-impl Directory {
     /// Returns the newest membership of `entity` in `domain` that holds at `now` (Unix seconds).
     pub fn membership_of(&self, entity: Name, domain: Name, now: u64) -> Option<&Membership> {
         let is_of = |membership: &&Membership| {
@@ -158,6 +157,6 @@ impl Member {
     pub fn imported_by<'a>(&'a self, reader: &'a Enrollment) -> impl Iterator<Item = (String, &'a str)> {
         let from = reader.import.iter().filter(|of| of.is_of(&self.enrollment.label));
         let label = &reader.label;
-        from.flat_map(move |of| of.topics.iter().map(move |topic| (format!("/{label}{topic}"), topic.as_str())))
+        from.flat_map(move |of| of.topics.iter().map(move |topic| (within_namespace(label, topic), topic.as_str())))
     }
 }

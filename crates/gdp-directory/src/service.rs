@@ -29,6 +29,9 @@ const GRANT_LIFETIME: u64 = 24 * 3600;
 /// Maximum size of the stored members, in bytes.
 pub const MAX_STORED: usize = 4 * MAX_DIRECTORY;
 
+/// Maximum size of a membership's renewal in bytes, as the join service makes it.
+const MAX_RENEWAL: usize = 1024;
+
 /// Minimum time in nanoseconds between two changes of a member's entry.
 const CHANGE_INTERVAL: u64 = 2_000_000_000;
 
@@ -89,6 +92,8 @@ pub struct MemberRow {
     pub enrollment: Enrollment,
     pub catalog: Option<Name>,
     pub role: String,
+    /// The domain's key that signed the membership or its invitation.
+    pub signer: Option<VerifyKey>,
     /// End of the membership without a further renewal, in Unix seconds.
     pub until: u64,
 }
@@ -294,8 +299,10 @@ impl JoinService {
         let before = self.members.insert(caller, enrolled);
         let valid: BTreeSet<Name> = self.members(now / 1_000_000_000).iter().map(|(member, _)| member.entity).collect();
         self.members.retain(|entity, _| valid.contains(entity));
-        let size = self.directory(now).to_bytes();
-        if self.members.len() <= MAX_MEMBERS && size.is_ok() {
+        // Memberships grow when they are renewed.
+        let renewals = self.members.values().filter(|enrolled| enrolled.membership.renewal.is_none()).count();
+        let size = self.directory(now).to_bytes().map(|bytes| bytes.len() + renewals * MAX_RENEWAL);
+        if self.members.len() <= MAX_MEMBERS && size.is_ok_and(|size| size <= MAX_DIRECTORY) {
             self.changed.insert(caller, now);
             return Ok(());
         }
@@ -357,6 +364,7 @@ impl JoinService {
             enrollment,
             catalog: catalog.map(|card| card.name()),
             role: enrolled.membership.cert.claims_unverified().map(|claims| claims.role).unwrap_or_default(),
+            signer: enrolled.membership.signer_unverified().ok(),
             until: enrolled.membership.until_unverified().unwrap_or_default(),
         };
         self.members(now).into_iter().map(row).collect()

@@ -156,7 +156,7 @@ impl CredentialFile {
                 about_card(claims.name)?;
                 revocation.map_or(Ok(()), |revocation| revocation.check(Delegation::KIND, claims.serial))?;
             }
-            Self::Revocation(signed) => about_card(signed.verify(card.owner_key(), now)?.name)?,
+            Self::Revocation(signed) => about_card(signed.verify_revocation(&card.proof())?.name)?,
             Self::Member(member) => drop(member.verify(card.name(), revocation, now)?),
             Self::Peer(signed) => _ = signed.verify_peer(&card.proof(), revocation, now)?,
             Self::Route(_) => return Ok(false),

@@ -60,12 +60,12 @@ impl Issuer {
     }
 
     /// Issues the certificate to publish or serve the name for this proxy, and the grants for the
-    /// readers. `topic` is the name in the catalog, `None` for the catalog itself, for which the
+    /// readers. `called` is what it is in the catalog, `None` for the catalog itself, for which the
     /// join service issues the members' grants. `now` is in Unix nanoseconds.
     pub fn issue(
         &self,
         name: Name,
-        topic: Option<&TopicName>,
+        called: Option<(Thing, &TopicName)>,
         config: &ExposeConfig,
         now: u64,
     ) -> Result<IssuedCredentials, IssueError> {
@@ -75,9 +75,7 @@ impl Issuer {
         let cert = issue(&self.owner, &AdCert { name, entity, scope, serial, not_before, not_after })?.into();
         let grant =
             |to: &Grantee| issue(&self.owner, &ReadGrant { name, to: to.clone(), serial, not_before, not_after });
-        let may_read = |reader: &&MemberReader| {
-            topic.is_some_and(|topic| reader.topics.iter().any(|pattern| pattern.covers(topic)))
-        };
+        let may_read = |reader: &&MemberReader| called.is_some_and(|(thing, name)| reader.names.covers(thing, name));
         let members = config.shared.readers.iter().filter(may_read).map(|reader| Grantee::Entity(reader.entity));
         let readers = config.readers.iter().map(|reader| reader.0.clone()).chain(members);
         if readers.clone().count() > MAX_GRANTS {

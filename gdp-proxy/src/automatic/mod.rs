@@ -35,7 +35,7 @@ use self::issuer::{IssuedCredentials, Issuer};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
 use self::omissions::Reason;
-use crate::config::{ExposeConfig, ImportConfig, Thing, What, action_of_topic};
+use crate::config::{ExposeConfig, ImportConfig, PatternsByKind, Thing, What, action_of_topic};
 use crate::directory;
 use crate::graph::{self, Found, Graph, GraphObserver};
 use crate::material::ImportMaterial;
@@ -103,7 +103,7 @@ impl Automatic {
         let graph = config.directory.as_ref().and_then(|directory| directory.graph.as_deref());
         let mut shared = directory::shared(members, entity, graph);
         if !config.directory.as_ref().is_some_and(|directory| directory.export) {
-            shared.exposed.exports.clear();
+            shared.exposed.exports = PatternsByKind::default();
         }
         let (before_expose, mut before_imports, planner_state) = match before {
             Some(Self { expose, imports, planner_state, .. }) => (expose, imports, planner_state),
@@ -242,7 +242,7 @@ impl Expose {
                 gathering.omit(thing, called, Reason::RemappedOntoAnother);
                 continue;
             }
-            let named = (&card, Some(&exposed.name));
+            let named = (&card, Some((thing, &exposed.name)));
             let Some(issued) = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, named, now)
             else {
                 continue;
@@ -298,20 +298,20 @@ fn carried_actions(graph: &Arc<Graph>, calls: &[Arc<CallPlan>], imports: &[Impor
     actions
 }
 
-/// Returns the known certificates, or issues new ones if they are old. `topic` is the name in the
-/// catalog, `None` for the catalog itself.
+/// Returns the known certificates, or issues new ones if they are old. `called` is what it is in
+/// the catalog, `None` for the catalog itself.
 fn issued_credentials(
     issuer: &Issuer,
     known: &mut BTreeMap<Name, IssuedCredentials>,
     config: &ExposeConfig,
-    (card, topic): (&NameCard, Option<&TopicName>),
+    (card, called): (&NameCard, Option<(Thing, &TopicName)>),
     now: u64,
 ) -> Option<IssuedCredentials> {
     let name = card.name();
     if let Some(issued_credentials) = known.get(&name).filter(|issued_credentials| !issued_credentials.are_old(now)) {
         return Some(issued_credentials.clone());
     }
-    match issuer.issue(name, topic, config, now) {
+    match issuer.issue(name, called, config, now) {
         Ok(issued_credentials) => {
             known.insert(name, issued_credentials.clone());
             Some(issued_credentials)

@@ -16,6 +16,7 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use super::calls::check_copies;
+use super::shared::{SharedImport, SharedTopics};
 use super::topics::Priority;
 use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, Thing, TopicConfig, What, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
@@ -74,22 +75,6 @@ pub struct ExposeConfig {
     pub shared: SharedTopics,
 }
 
-/// Topics that the directory of the domain lets members read.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SharedTopics {
-    /// Patterns of the topics that members import under their own names.
-    pub exports: Vec<Pattern>,
-    pub readers: Vec<MemberReader>,
-}
-
-/// A member of the domain with the patterns of the exposed topics that it may read, with their
-/// names in the catalog.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MemberReader {
-    pub entity: Name,
-    pub topics: Vec<Pattern>,
-}
-
 /// The remote topics, services and actions that the proxy imports while a catalog lists them.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -137,10 +122,9 @@ pub struct ImportConfig {
     #[serde(default)]
     #[schemars(range(min = 2, max = 8))]
     pub replicate: Option<u8>,
-    /// Patterns of what the directory lets the other member expose. Nothing else is imported, but
-    /// for what is in `merge`.
+    /// What the directory of the domain states about this import.
     #[serde(skip)]
-    pub within: Option<Vec<Pattern>>,
+    pub shared: Option<SharedImport>,
 }
 
 /// A pattern of topics with their options.
@@ -266,14 +250,15 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 impl ExposeConfig {
     /// Returns the options of an entity, or `None` if no pattern matches it.
     pub fn rule_options(&self, thing: Thing, name: &TopicName) -> Option<RuleOptions> {
+        let exports = self.shared.exports.of_kind(thing);
         let called = |patterns: &[Pattern]| {
-            let is_meant = patterns.iter().any(|pattern| pattern.matches(thing, name));
+            let is_meant = patterns.iter().chain(exports).any(|pattern| pattern.matches(thing, name));
             is_meant.then(|| RuleOptions { meta: self.defaults.meta.clone(), ..RuleOptions::default() })
         };
         match thing {
             Thing::Topic => {
                 let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name));
-                let is_export = || self.shared.exports.iter().any(|pattern| pattern.matches(thing, name));
+                let is_export = || exports.iter().any(|pattern| pattern.matches(thing, name));
                 match rule {
                     Some(rule) => Some(rule.rule_options.or(&self.defaults)),
                     None => is_export().then(|| self.defaults.clone()),
@@ -349,7 +334,8 @@ impl ImportConfig {
             Thing::Call(What::Action) => &self.actions,
         };
         let any = |patterns: &[Pattern]| patterns.iter().any(|pattern| pattern.covers(name));
-        let is_within = self.within.as_ref().is_none_or(|within| any(within) || self.merges(thing, name));
+        let is_within = |shared: &SharedImport| shared.within.covers(thing, name) || self.keeps_name(thing, name);
+        let is_within = self.shared.as_ref().is_none_or(is_within);
         is_within && !any(&self.deny) && patterns.iter().any(|pattern| pattern.matches(thing, name))
     }
 
@@ -358,9 +344,16 @@ impl ImportConfig {
         !self.services.is_empty() || !self.actions.is_empty()
     }
 
+    /// Whether an imported entity has no prefix.
+    fn keeps_name(&self, thing: Thing, name: &TopicName) -> bool {
+        let is_shared = |shared: &SharedImport| shared.under_own_names.covers(thing, name);
+        self.merges(thing, name) || self.shared.as_ref().is_some_and(is_shared)
+    }
+
     /// Whether an imported entity merges with others of the same name.
     pub fn merges(&self, thing: Thing, name: &TopicName) -> bool {
-        thing == Thing::Topic && self.merge.iter().any(|pattern| pattern.covers(name))
+        let shared = self.shared.iter().flat_map(|shared| &shared.under_own_names.topics);
+        thing == Thing::Topic && self.merge.iter().chain(shared).any(|pattern| pattern.covers(name))
     }
 
     /// Returns the name of an imported entity in this graph. `None` if the name is invalid, for
@@ -368,7 +361,7 @@ impl ImportConfig {
     pub fn local_name(&self, thing: Thing, name: &TopicName) -> Option<TopicName> {
         let topic = remapped(name, &self.remap)?;
         match &self.prefix {
-            Some(prefix) if !self.merges(thing, name) => TopicName::parse(&format!("{prefix}{topic}")).ok(),
+            Some(prefix) if !self.keeps_name(thing, name) => TopicName::parse(&format!("{prefix}{topic}")).ok(),
             _ => Some(topic),
         }
     }

@@ -13,6 +13,7 @@ mod graphs;
 mod pattern;
 mod relay;
 mod schema;
+mod shared;
 mod thing;
 mod topics;
 
@@ -34,15 +35,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::action_topic::{action_of_topic, action_type};
-pub use self::automatic::{
-    ExposeConfig, ImportConfig, MemberReader, ReaderConfig, Remap, Rule, RuleOptions, SharedTopics, remapped,
-};
+pub use self::automatic::{ExposeConfig, ImportConfig, ReaderConfig, Remap, Rule, RuleOptions, remapped};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config, ZenohConfig};
 pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
 pub use self::schema::schema;
+pub use self::shared::{MemberReader, PatternsByKind, SharedImport, SharedTopics};
 pub use self::thing::Thing;
 pub use self::topics::{Compression, Conversion, Direction, Side, TopicConfig};
 pub use crate::config::call_kind::What;

@@ -20,6 +20,10 @@ pub const MAX_PATTERNS: usize = 64;
 /// Maximum length of a pattern in bytes.
 const MAX_PATTERN: usize = 253;
 
+/// Kinds of names that a pattern selects by a prefix, such as `service:/plan`. Without one it
+/// selects topics.
+const KINDS: [&str; 2] = ["service:", "action:"];
+
 /// The label that stands for all members in [`TopicsOf::member`].
 pub const ALL_MEMBERS: &str = "*";
 
@@ -32,7 +36,7 @@ pub struct Enrollment {
     pub member: u64,
     /// Label of the member. It is also the namespace of its topics at other members.
     pub label: String,
-    /// Patterns of the topics that other members may import from this one.
+    /// Patterns of the topics, services and actions that other members may import from this one.
     pub expose: Vec<String>,
     /// Topics that the member imports under their own names. The other member has them under
     /// `/LABEL`, with this member's label.
@@ -46,7 +50,7 @@ pub struct Enrollment {
     pub not_after: u64,
 }
 
-/// Patterns of topics at one member, or at [all](ALL_MEMBERS).
+/// Patterns of topics, services and actions at one member, or at [all](ALL_MEMBERS).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicsOf {
@@ -79,6 +83,19 @@ impl FromStr for TopicsOf {
         }
         Ok(Self { member: member.into(), topics: vec![pattern.into()] })
     }
+}
+
+/// Splits the kind from a pattern of an [`Enrollment`]: `service:`, `action:`, or nothing for
+/// topics.
+pub fn split_kind(pattern: &str) -> (&'static str, &str) {
+    let split = |kind: &'static str| Some((kind, pattern.strip_prefix(kind)?));
+    KINDS.into_iter().find_map(split).unwrap_or(("", pattern))
+}
+
+/// Returns the pattern for the same names below a namespace.
+pub fn within_namespace(namespace: &str, pattern: &str) -> String {
+    let (kind, pattern) = split_kind(pattern);
+    format!("{kind}/{namespace}{pattern}")
 }
 
 impl Claims for Enrollment {

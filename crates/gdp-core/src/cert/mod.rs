@@ -1,8 +1,8 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949
-//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`renewal`], [`switch`], [`statements`] and [`link_state`]
-//! define the claims. [`Signed`] keeps and verifies the exact bytes, and [`issued`] verifies the
-//! chain from a certificate to the owner of its name. [`request`] checks the signatures that a
-//! request needs. The RIB and the receivers of its answers call this module.
+//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`membership`], [`renewal`], [`switch`], [`statements`] and
+//! [`link_state`] define the claims. [`Signed`] keeps and verifies the exact bytes, and [`issued`]
+//! verifies the chain from a certificate to the owner of its name. [`request`] checks the
+//! signatures that a request needs. The RIB and the receivers of its answers call this module.
 //!
 //! Domain separation: the type of a certificate is its external AAD and its protected content type,
 //! so one type never verifies as another. A COSE `Sig_structure` begins with a CBOR array head and
@@ -17,6 +17,7 @@ mod error;
 mod extension;
 mod issued;
 mod link_state;
+mod membership;
 mod name_proof;
 mod owner;
 mod pem;
@@ -28,11 +29,12 @@ mod switch;
 
 pub use advert_op::AdvertOp;
 pub use claims::{BACKDATED, CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
-pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
+pub use domain::{Invite, MemberCert, PeerCert, PeerRights};
 pub use enrollment::{Enrollment, TopicsOf};
 pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
+pub use membership::Membership;
 pub use owner::{AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, ReadGrant, Revocation};
 pub use renewal::{MembershipRenewal, RenewalDelegation};
 pub use request::{Requester, Side, authorise_advertise, authorise_subscribe, authorise_withdraw, verify_statement};

@@ -16,7 +16,7 @@ use std::fmt;
 pub const MAX_SCOPE: usize = 64;
 
 /// Maximum number of serials that a revocation lists besides its floor.
-pub const MAX_REVOKED: usize = 128;
+pub const MAX_REVOKED: usize = 256;
 
 /// Maximum length of a role's name in bytes.
 pub const MAX_ROLE: usize = 32;
@@ -219,9 +219,11 @@ impl Revocation {
     }
 
     /// Checks that this revocation may replace `held`. The same one may; an older one, or a
-    /// different one with the same number, may not.
+    /// different one with the same number, may not. One that retires the first key of a domain
+    /// replaces any that does not, because a thief of that key may have used a high number.
     pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
         match held {
+            Some(held) if self.signer.is_some() && held.signer.is_none() => Ok(()),
             Some(held) if self.number < held.number || self.number == held.number && self != held => {
                 Err(CertError::RolledBack { got: self.number, known: held.number })
             }
@@ -265,6 +267,12 @@ impl Signed<Revocation> {
             return Err(CertError::WrongName { expected, got: claims.name });
         }
         claims.check_signer(self)?;
+        // The first key cannot retire its successor.
+        if claims.signer.is_some_and(|signer| *signer.as_bytes() == name.owner_key) {
+            return Err(CertError::Malformed(
+                "the owner's key retires no other; only a successor retires a key".into(),
+            ));
+        }
         Ok(claims)
     }
 }

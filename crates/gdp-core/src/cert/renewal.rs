@@ -1,12 +1,11 @@
-//! MembershipRenewal of memberships. For each member, the domain states who may renew its membership, for
+//! Renewal of memberships. For each member, the domain states who may renew its membership, for
 //! how long, and until when. The holder of that key can extend a membership and admit nobody, so
 //! the domain's own key may be offline.
 
 use super::pem::Blocks;
-use super::{BACKDATED, Claims, MemberCert, Membership, Signed, Validity, issue};
+use super::{BACKDATED, Claims, MemberCert, Signed, Validity};
 use crate::cert::error::CertError;
 use crate::cert::name_proof::expect_domain;
-use crate::identity::SigningKey;
 use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
@@ -19,7 +18,7 @@ pub struct RenewalDelegation {
     /// Serial of the member's [`Invite`](super::Invite) or [`MemberCert`].
     pub member: u64,
     pub key: VerifyKey,
-    /// Maximum time in seconds from a renewal to the end of the renewed membership.
+    /// Maximum time in seconds for which a renewed membership holds, besides [`BACKDATED`].
     pub lifetime: u64,
     pub serial: u64,
     pub not_before: u64,
@@ -79,8 +78,7 @@ impl MembershipRenewal {
             let (what, serial) = (MemberCert::KIND, renewed.serial);
             return Err(CertError::BeforeDelegation { what, serial, delegation: delegation.serial });
         }
-        let issued = renewed.serial / 1_000_000_000;
-        if renewed.not_after > issued.saturating_add(delegation.lifetime) {
+        if renewed.not_after.saturating_sub(renewed.not_before) > delegation.lifetime.saturating_add(BACKDATED) {
             return Err(CertError::Malformed("the renewal lasts longer than its delegation allows".into()));
         }
         let Validity { not_before, not_after } = renewed.validity().and(delegation.validity());
@@ -106,43 +104,6 @@ impl MembershipRenewal {
         let Some(delegation) = blocks.take_if(RenewalDelegation::LABEL) else { return Ok(None) };
         let cert = Signed::from_pem(blocks.take(MemberCert::LABEL)?)?;
         Ok(Some(Self { delegation: Signed::from_pem(delegation)?, cert }))
-    }
-}
-
-impl Membership {
-    /// Renews this membership by the key of `delegation` at `now` (Unix nanoseconds). The caller
-    /// checks revocations.
-    pub fn renew(&self, key: &SigningKey, delegation: &Signed<RenewalDelegation>, now: u64) -> Result<Self, CertError> {
-        let terms = delegation.claims_unverified()?;
-        let seconds = now / 1_000_000_000;
-        let base = Self { renewal: None, ..self.clone() };
-        let claims = MemberCert {
-            serial: now.max(terms.serial),
-            not_before: seconds.saturating_sub(BACKDATED),
-            not_after: seconds.saturating_add(terms.lifetime).min(terms.not_after),
-            ..base.verify_signatures(terms.domain)?
-        };
-        let renewal = MembershipRenewal { delegation: delegation.clone(), cert: issue(key, &claims)? };
-        let renewed = Self { renewal: Some(renewal), ..base };
-        renewed.verify(terms.domain, None, seconds)?;
-        Ok(renewed)
-    }
-
-    /// Returns when the membership with its renewal ends in Unix seconds, unverified.
-    pub fn until_unverified(&self) -> Result<u64, CertError> {
-        Ok(self.last_unverified()?.not_after)
-    }
-
-    /// Whether half of the membership has passed since it was issued or renewed, or the clock was
-    /// set back. `now` is in Unix seconds.
-    pub fn is_half_over(&self, now: u64) -> Result<bool, CertError> {
-        let last = self.last_unverified()?;
-        let issued = last.serial / 1_000_000_000;
-        Ok(!(issued..issued + last.not_after.saturating_sub(issued) / 2).contains(&now))
-    }
-
-    fn last_unverified(&self) -> Result<MemberCert, CertError> {
-        self.renewal.as_ref().map_or(&self.cert, |renewal| &renewal.cert).claims_unverified()
     }
 }
 

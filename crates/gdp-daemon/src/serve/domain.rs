@@ -200,8 +200,7 @@ pub async fn ask_admitted(daemon: &Arc<Daemon>, request: Request) -> Result<(), 
     if let (Some(domain), Ok(Some(invite))) = (&mut daemon.core().membership.domain, membership.invite_unverified())
         && !domain.invitations.has_admitted(invite.serial, &entity, until)
     {
-        let admitted = Admitted { entity, until, is_renewed: membership.renewal.is_some() };
-        domain.invitations.remember(&invite, admitted);
+        domain.invitations.remember(&invite, Admitted { entity, until });
         domain.changes += 1;
     }
     // The RIB has saved it. If saving fails here, this switch asks the RIB again later.

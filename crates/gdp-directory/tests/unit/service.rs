@@ -2,7 +2,7 @@
 
 use super::*;
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, Invite, TopicsOf};
+use gdp_core::cert::{AdCert, Invite, MemberCert, TopicsOf};
 use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::Identity;
 
@@ -332,4 +332,35 @@ fn a_member_is_renewed_when_half_of_its_time_has_passed() {
     let revoked = vec![base.serial_unverified().unwrap()];
     home.service.revoke(Revocation { name: domain, number: 1, floor: 0, revoked, signer: None });
     assert!(!home.service.renew_due(nanos(NOW + 1_700_000)));
+}
+
+#[test]
+fn a_member_with_a_new_membership_outlives_the_retirement_of_the_first_key() {
+    let mut home = Domain::new();
+    let (token, other) = (home.invite("robot7", vec![], all()), home.invite("robot8", vec![], vec![]));
+    let (robot, late) = (home.machine(&token), home.machine(&other));
+    home.join(&robot);
+    home.join(&late);
+    let domain = home.identity.name();
+    let row = home.service.rows(NOW).into_iter().find(|row| row.entity == robot.entity).unwrap();
+    assert_eq!((row.role.as_str(), row.signer), ("robot", Some(home.identity.key().verify_key())));
+
+    let serial = NANOS + 100;
+    let (not_before, not_after) = (NOW - 60, NOW + 1_000_000);
+    let claims = MemberCert { domain, entity: robot.entity, role: row.role, serial, not_before, not_after };
+    let membership = Membership::issue(&home.identity, &claims).unwrap();
+    assert!(!home.service.readmit(membership.clone()), "its enrollment comes first");
+    let enrollment = Enrollment { member: serial, serial, ..row.enrollment };
+    home.service.enroll(issue(home.identity.key(), &enrollment).unwrap());
+    assert!(home.service.readmit(membership.clone()) && !home.service.readmit(membership.clone()));
+    let stranger = MemberCert { entity: domain, ..claims };
+    assert!(!home.service.readmit(Membership::issue(&home.identity, &stranger).unwrap()));
+    let directory = home.service.directory(NANOS);
+    assert_eq!(directory.membership_of(robot.entity, domain, NOW), Some(&membership));
+    assert_eq!(directory.membership_of(domain, domain, NOW), None);
+
+    // As if the domain's first key had signed the others only.
+    let revoked = vec![other.invite().unwrap().serial];
+    assert!(home.service.revoke(Revocation { name: domain, number: 1, floor: 0, revoked, signer: None }));
+    assert_eq!(home.service.rows(NOW).len(), 1);
 }

@@ -99,7 +99,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 
 fn backup(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     // Locked, so that no other command issues anything meanwhile.
-    let _authority = home.authority()?;
+    let _ledger = home.ledger()?;
     if file.exists() {
         bail!("{}: a file of this name exists and is not overwritten", file.display());
     }
@@ -115,7 +115,7 @@ fn backup(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
 }
 
 fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
-    if home.path("domain.pem").exists() {
+    if home.path("domain.card").exists() || home.path("domain.pem").exists() {
         bail!("{} has a domain already; move it away, or say where with --dir", home.folder().display());
     }
     let bytes = secret_file::read(file, MAX_BACKUP)?;
@@ -128,9 +128,10 @@ fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     if let Some(path) = backup.files.keys().find(|path| !is_inside(path)) {
         bail!("{}: the backup has a file outside of its folder: {path}", file.display());
     }
-    // The key comes last: without it, an interrupted restoration can be repeated.
-    let (key, others): (Vec<_>, Vec<_>) = backup.files.iter().partition(|(path, _)| *path == "domain.pem");
-    for (path, Content(content)) in others.into_iter().chain(key) {
+    // Key and card come last: without them, an interrupted restoration can be repeated.
+    let (last, others): (Vec<_>, Vec<_>) =
+        backup.files.iter().partition(|(path, _)| ["domain.pem", "domain.card"].contains(&path.as_str()));
+    for (path, Content(content)) in others.into_iter().chain(last.into_iter().rev()) {
         let path = home.path(path);
         let folder = path.parent().unwrap_or(home.folder());
         fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;

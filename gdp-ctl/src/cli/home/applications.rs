@@ -20,15 +20,9 @@ use serde::Serialize;
 
 use super::invite::{Terms, check_free, check_pattern};
 use super::renewals::RENEWABLE;
-use super::{HOUR, Home, HomeOptions};
+use super::{HOUR, Home, HomeOptions, files};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
-
-/// File of the applications that wait, which the join service writes.
-pub const APPLICATIONS: &str = "applications";
-
-/// File of the decisions, which the join service reads.
-pub const DECISIONS: &str = "decisions";
 
 /// Maximum length of a typed fingerprint, in bytes.
 const MAX_TYPED: u64 = 256;
@@ -114,11 +108,11 @@ fn print_decision(label: String, entity: Name, decision: &'static str, context: 
 impl Home {
     /// Returns the applications that wait.
     pub(super) fn applications(&self) -> anyhow::Result<Applications> {
-        Ok(self.stored::<Application>(APPLICATIONS)?.into_iter().collect())
+        Ok(self.stored::<Application>(files::APPLICATIONS)?.into_iter().collect())
     }
 
     pub(super) fn decisions(&self) -> anyhow::Result<BTreeMap<Name, Decision>> {
-        Ok(self.stored::<Decision>(DECISIONS)?.into_iter().collect())
+        Ok(self.stored::<Decision>(files::DECISIONS)?.into_iter().collect())
     }
 
     fn stored<T: Serialize + serde::de::DeserializeOwned>(&self, name: &str) -> anyhow::Result<Vec<(Name, T)>> {
@@ -145,11 +139,11 @@ impl Home {
     fn decide(&self, entity: Name, decision: Decision) -> anyhow::Result<()> {
         // Of machines that no longer wait, those that were decided first are forgotten.
         const MAX_DECISIONS: usize = 1024;
-        let mut decisions: Vec<_> = self.stored::<Decision>(DECISIONS)?;
+        let mut decisions: Vec<_> = self.stored::<Decision>(files::DECISIONS)?;
         decisions.retain(|(other, _)| *other != entity);
         let over = (decisions.len() + 1).saturating_sub(MAX_DECISIONS);
         decisions.drain(..over);
         decisions.push((entity, decision));
-        Ok(secret_file::replace(&self.path(DECISIONS), &cbor::encode(&decisions)?)?)
+        Ok(secret_file::replace(&self.path(files::DECISIONS), &cbor::encode(&decisions)?)?)
     }
 }

@@ -10,11 +10,8 @@ use gdp_core::secret_file;
 use gdp_wire::Name;
 
 use super::renewals::{OWN, SWITCH};
-use super::{DAY, DomainAddress, Home};
+use super::{DomainAddress, Home, default_lifetime};
 use crate::cli::domain::{create_domain, quoted};
-
-/// Seconds for which a membership lasts without a renewal, if nothing else was chosen.
-const LIFETIME: u64 = 60 * DAY;
 
 /// Where the switch of a new domain takes links.
 const DEFAULT_UDP: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::UNSPECIFIED), 31415);
@@ -46,8 +43,9 @@ impl Home {
         if is_new {
             create_domain(self.folder(), Some(&self.path("successor.pem")))?;
         }
-        let before = self.address().ok();
-        let lifetime = wanted.lifetime.or(before.as_ref().map(|before| before.lifetime)).unwrap_or(LIFETIME);
+        let before = if self.path("address").exists() { Some(self.address()?) } else { None };
+        let lifetime =
+            wanted.lifetime.or(before.as_ref().map(|before| before.lifetime)).unwrap_or_else(default_lifetime);
         let switch = Identity::load_or_generate(&self.path("switch.pem"), "switch")?;
         let join = Identity::load_or_generate(&self.path("join.pem"), "tool")?;
         for own in OWN {

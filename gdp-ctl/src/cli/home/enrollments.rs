@@ -8,11 +8,8 @@ use gdp_core::cert::{CertError, Enrollment, Signed};
 use gdp_core::secret_file;
 use gdp_util::unix_time::unix_seconds;
 
-use super::{Home, members};
+use super::{Home, files, members};
 use crate::cli::domain::{DomainLedger, Issue, To};
-
-/// Name of the file.
-pub const FILE: &str = "enrollments";
 
 /// Maximum size of the file, in bytes.
 const MAX_FILE: usize = 8 << 20;
@@ -53,7 +50,7 @@ impl Home {
         let ledger = self.ledger()?;
         let (open, domain) = (self.open_serials(&ledger)?, ledger.issuance_log.card().proof());
         let mut enrolled = BTreeMap::new();
-        for signed in self.signed_for_members(FILE, Signed::<Enrollment>::from_pem)? {
+        for signed in self.signed_for_members(files::ENROLLMENTS, Signed::<Enrollment>::from_pem)? {
             let claims = signed.verify_for_name(&domain)?;
             if open.contains(&claims.member) {
                 enrolled.insert(claims.label.clone(), claims);

@@ -12,12 +12,13 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::{Enrollment, TopicsOf, issue};
 use gdp_util::terminal::note;
+use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::invite::{Terms, check_free, check_pattern, imported, topics_of};
 use super::renewals::RENEWABLE;
-use super::{HOUR, Home, HomeOptions, enrollments};
+use super::{HOUR, Home, HomeOptions, files};
 use crate::cli::context::Context;
 use crate::cli::issuing::parse_seconds;
 use gdp_directory::SERVER;
@@ -188,9 +189,15 @@ impl Home {
     /// Signs other topics for a member. The join service lists them at once.
     fn reenroll(&self, enrollment: Enrollment) -> anyhow::Result<()> {
         let authority = self.authority()?;
+        let (key, successor) = (authority.identity.key().verify_key(), self.card()?.successor());
+        let rows = super::members::stored(self)?.rows(unix_seconds());
+        let signer = rows.iter().find(|row| row.enrollment.member == enrollment.member).and_then(|row| row.signer);
+        if signer.is_some() && signer == successor && signer != Some(key) {
+            bail!("{}: the successor of the domain's key admitted it; name the successor's by --key", enrollment.label);
+        }
         let enrollment = Enrollment { serial: authority.serial, ..enrollment };
         self.record("enroll", &enrollment.label, &[enrollment.member])?;
         let signed = issue(authority.identity.key(), &enrollment)?;
-        self.keep_signed(enrollments::FILE, [(enrollment.label, signed.to_pem())])
+        self.keep_signed(files::ENROLLMENTS, [(enrollment.label, signed.to_pem())])
     }
 }

@@ -4,7 +4,7 @@
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::domain::roles;
-use gdp_core::cert::enrollment::check_label;
+use gdp_core::cert::enrollment::{check_label, split_kind};
 use gdp_core::cert::{Delegation, Enrollment, Invite, Signed, TopicsOf, issue};
 use gdp_core::domain::{Enrolling, Token};
 use gdp_core::identity::{SigningKey, VerifyKey};
@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::renewals::RENEWABLE;
-use super::{APPLICANTS, DAY, Home, HomeOptions, enrollments, renewals};
+use super::{APPLICANTS, DAY, Home, HomeOptions, files};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::entity::parse_entity;
@@ -28,15 +28,16 @@ pub struct Options {
     /// Label of the new member: the namespace of its topics at others, such as robot7. Without a
     /// label, the line is for any number of machines, which wait until you approve them.
     label: Option<String>,
-    /// Topics of the new member that others may read, such as '/camera/**'; repeat or separate by
-    /// commas.
+    /// Topics of the new member that others may read, such as '/camera/**', and services and
+    /// actions that they may call, such as service:/plan; repeat or separate by commas.
     #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
     expose: Vec<String>,
-    /// Topics that the new member gets from the server, where they are under /LABEL.
+    /// Topics, services and actions that the new member gets from the server, where they are under
+    /// /LABEL.
     #[arg(long, value_name = "PATTERN,…", value_delimiter = ',')]
     import: Vec<String>,
     /// Topics of others that the new member may read, such as 'robot7:/camera/**', or '*:/**' for
-    /// all of all members.
+    /// all of all members. Services and actions as in robot7:service:/plan.
     #[arg(long, value_name = "LABEL:PATTERN,…", value_delimiter = ',')]
     read: Vec<String>,
     /// Time for which the new member stays one. Default: until it is revoked, and for a line
@@ -194,10 +195,10 @@ impl Home {
         let enrolling = Enrolling { enrollment, call: issue(&join_key, &call)? };
         self.record("invite", &label, &[serial])?;
         if role != roles::APPLICANT {
-            self.keep_signed(enrollments::FILE, [(label.clone(), enrolling.enrollment.to_pem())])?;
+            self.keep_signed(files::ENROLLMENTS, [(label.clone(), enrolling.enrollment.to_pem())])?;
             if ends > member_until {
                 let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
-                self.keep_signed(renewals::FILE, [(label.clone(), renewal.to_pem())])?;
+                self.keep_signed(files::RENEWALS, [(label.clone(), renewal.to_pem())])?;
             }
         }
         let (to, label) = (To::Invited { role }, Some(label));
@@ -235,5 +236,5 @@ pub(super) fn topics_of(text: &str) -> anyhow::Result<TopicsOf> {
 }
 
 pub(super) fn check_pattern(pattern: &str) -> anyhow::Result<()> {
-    gdp_ros::pattern::check(pattern).map_err(anyhow::Error::msg)
+    gdp_ros::pattern::check(split_kind(pattern).1).map_err(anyhow::Error::msg)
 }

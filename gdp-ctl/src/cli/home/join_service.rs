@@ -21,15 +21,14 @@ use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::{Home, HomeOptions, applications, enrollments, members, renewals, rotate};
+use super::{Home, HomeOptions, files, members, renewals};
 use crate::cli::issuing::validity;
 
-/// Maximum time after which the directory is made again, because certificates expire and are
-/// renewed.
+/// How often the directory is made again, because certificates expire.
 const AGAIN: Duration = Duration::from_secs(600);
 
-/// How often memberships are looked at in their lifetime.
-const LOOKS: u64 = 20;
+/// How often memberships are looked at. A clock that was set back makes them be renewed again.
+const LOOK: Duration = Duration::from_secs(5);
 
 /// Versions of the directory that readers may request again.
 const HISTORY: usize = 4;
@@ -69,24 +68,22 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 
 async fn serve(home: Home) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
-    let files = [enrollments::FILE, renewals::FILE, rotate::FILE, applications::DECISIONS];
-    let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain([home.revocation_path()]).collect();
+    let files = [files::ENROLLMENTS, files::RENEWALS, files::MEMBERSHIPS, files::DECISIONS];
+    let others = [home.revocation_path(), home.member_file(renewals::JOIN)];
+    let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain(others).collect();
     // Created before the file is read, so that no change is missed.
     let mut changed = FileSet::new(&watcher, signed.iter().map(PathBuf::as_path));
     let service = members::stored(&home)?;
-    for own in renewals::OWN {
-        home.renew_own(own)?;
-    }
+    home.renew_all_own();
     let key = SigningKey::load(&home.path("join.pem"))?;
     let node = connect(&home, &key).await?;
     let (directory, join) = (directory_card(key.verify_key())?, join_card(key.verify_key())?);
     let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
     let mut server = node.serve(join.proof(), own_right(&key, &join, node.name())?).await?;
-    let look = Duration::from_secs((home.address()?.lifetime / LOOKS).max(1)).min(AGAIN);
     let mut running = JoinServer { home, service, publisher, published: Vec::new() };
     running.publish();
     tracing::info!("the join service is ready");
-    let mut again = tokio::time::interval(look);
+    let (mut again, mut looks) = (tokio::time::interval(AGAIN), tokio::time::interval(LOOK));
     loop {
         tokio::select! {
             call = server.recv() => match call {
@@ -94,12 +91,14 @@ async fn serve(home: Home) -> anyhow::Result<()> {
                 None => bail!("the right to serve has ended: {}; run `gdp-ctl up` again", server.ended().await),
             },
             () = changed.changed() => {
+                running.show_membership(&node).await;
                 if members::update(&running.home, &mut running.service)? {
                     running.store()?;
                     running.publish();
                 }
             }
-            _ = again.tick() => running.renew(&node).await?,
+            _ = again.tick() => running.publish(),
+            _ = looks.tick() => running.renew(),
         }
     }
 }
@@ -140,27 +139,31 @@ impl JoinServer {
         Ok(())
     }
 
-    /// Renews the memberships of which half has passed, and makes the directory again.
-    async fn renew(&mut self, node: &Node) -> anyhow::Result<()> {
-        for own in renewals::OWN {
-            match self.home.renew_own(own) {
-                Ok(Some(membership)) if own.label == renewals::JOIN.label => {
-                    node.renew_credentials(Credentials { membership, peers: Vec::new() }).await?;
-                }
-                Ok(_) => {}
-                Err(error) => tracing::error!("the membership of the {} is not renewed: {error:#}", own.label),
-            }
+    /// Shows the switch the newest membership of this service.
+    async fn show_membership(&self, node: &Node) {
+        let shown = async {
+            let membership = self.home.membership(renewals::JOIN)?;
+            anyhow::Ok(node.renew_credentials(Credentials { membership, peers: Vec::new() }).await?)
+        };
+        if let Err(error) = shown.await {
+            tracing::error!("the renewed membership is not taken: {error:#}");
         }
+    }
+
+    /// Renews the memberships of which half has passed.
+    fn renew(&mut self) {
+        self.home.renew_all_own();
         if self.service.renew_due(unix_nanos()) {
-            self.store()?;
+            if let Err(error) = self.store() {
+                tracing::error!("the renewed memberships are not stored: {error:#}");
+            }
+            self.publish();
         }
-        self.publish();
-        Ok(())
     }
 
     fn store(&self) -> anyhow::Result<()> {
         let waiting: Vec<_> = self.service.applications().iter().collect();
-        secret_file::replace(&self.home.path(applications::APPLICATIONS), &cbor::encode(&waiting)?)?;
+        secret_file::replace(&self.home.path(files::APPLICATIONS), &cbor::encode(&waiting)?)?;
         Ok(secret_file::replace(&self.home.path("directory.members"), &self.service.to_bytes()?)?)
     }
 

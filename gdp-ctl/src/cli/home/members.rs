@@ -6,7 +6,7 @@ use gdp_core::identity::SigningKey;
 use gdp_core::secret_file;
 use gdp_directory::service::{JoinService, MAX_STORED};
 
-use super::{Home, enrollments, renewals, rotate};
+use super::{Home, files};
 use crate::cli::issuance_log::newest_revocation;
 
 /// Returns the join service with the members that have joined.
@@ -25,17 +25,18 @@ pub(super) fn stored(home: &Home) -> anyhow::Result<JoinService> {
 /// Applies what the domain's key has signed since: revocations and enrollments. Returns true if the
 /// directory changes.
 pub(super) fn update(home: &Home, service: &mut JoinService) -> anyhow::Result<bool> {
-    let revoked = revocation(home)?.is_some_and(|revocation| service.revoke(revocation));
     let mut enrolled = false;
-    for enrollment in home.signed_for_members(enrollments::FILE, Signed::from_pem)? {
+    for enrollment in home.signed_for_members(files::ENROLLMENTS, Signed::from_pem)? {
         enrolled |= service.enroll(enrollment);
     }
-    for delegation in home.signed_for_members(renewals::FILE, Signed::from_pem)? {
+    for delegation in home.signed_for_members(files::RENEWALS, Signed::from_pem)? {
         service.delegate(delegation);
     }
-    for membership in home.signed_for_members(rotate::FILE, Membership::from_pem)? {
+    for membership in home.signed_for_members(files::MEMBERSHIPS, Membership::from_pem)? {
         enrolled |= service.readmit(membership);
     }
+    // The last, because a revocation may end what the exchanged memberships replace.
+    let revoked = revocation(home)?.is_some_and(|revocation| service.revoke(revocation));
     let decided = service.decide(home.decisions()?);
     Ok(revoked || enrolled || decided)
 }

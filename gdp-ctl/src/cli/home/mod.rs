@@ -20,6 +20,7 @@ mod admin;
 mod applications;
 mod create;
 mod enrollments;
+mod files;
 mod fleet;
 mod invite;
 mod join_service;
@@ -99,7 +100,12 @@ struct DomainAddress {
     /// Whether the switch may attach XDP programs.
     xdp: bool,
     /// Seconds for which a membership lasts without a renewal.
+    #[serde(default = "default_lifetime")]
     lifetime: u64,
+}
+
+fn default_lifetime() -> u64 {
+    60 * DAY
 }
 
 impl Home {

@@ -15,9 +15,6 @@ use super::{DAY, Home};
 use crate::cli::domain::{Authority, Issue, To};
 use crate::cli::issuing::validity;
 
-/// Name of the file with the delegation of each label.
-pub const FILE: &str = "renewals";
-
 /// Seconds for which the domain lets a membership be renewed, if nothing shorter is wanted.
 pub const RENEWABLE: u64 = 10 * 365 * DAY;
 
@@ -48,7 +45,7 @@ impl Home {
         not_after: u64,
     ) -> anyhow::Result<Signed<RenewalDelegation>> {
         let key = SigningKey::load(&self.path("join.pem"))?.verify_key();
-        let (domain, serial, (not_before, _)) = (authority.identity.name(), authority.serial, validity(0));
+        let (domain, serial, (not_before, _)) = (authority.identity.name(), member, validity(0));
         let claims = RenewalDelegation { domain, member, key, lifetime, serial, not_before, not_after };
         Ok(issue(authority.identity.key(), &claims)?)
     }
@@ -74,14 +71,26 @@ impl Home {
         if !self.member_file(own).exists() || !self.renewal_file(own).exists() {
             return Ok(false);
         }
-        // One that ended while the server was off cannot be renewed.
         let renewed = self.renew_own(own);
-        let membership = self.membership(own)?;
-        Ok(renewed.is_ok() && membership.verify(membership.domain.name()?, None, unix_seconds()).is_ok())
+        let (membership, ledger) = (self.membership(own)?, self.ledger()?);
+        let domain = membership.domain.name()?;
+        Ok(renewed.is_ok() && membership.verify(domain, ledger.revocation.as_ref(), unix_seconds()).is_ok())
+    }
+
+    /// Renews the memberships of this server's entities of which half has passed. Logs errors,
+    /// because the memberships may still hold for long.
+    pub(super) fn renew_all_own(&self) {
+        for own in OWN {
+            match self.renew_own(own) {
+                Ok(Some(_)) => tracing::info!("renewed the membership of the {}", own.label),
+                Ok(None) => {}
+                Err(error) => tracing::error!("the membership of the {} is not renewed: {error:#}", own.label),
+            }
+        }
     }
 
     /// Renews the membership of an entity of this server if half of it has passed.
-    pub(super) fn renew_own(&self, own: Own) -> anyhow::Result<Option<Membership>> {
+    fn renew_own(&self, own: Own) -> anyhow::Result<Option<Membership>> {
         let membership = self.membership(own)?;
         if !membership.is_half_over(unix_seconds())? {
             return Ok(None);
@@ -101,7 +110,7 @@ impl Home {
         Membership::from_pem(&text).with_context(|| path.display().to_string())
     }
 
-    fn member_file(&self, own: Own) -> std::path::PathBuf {
+    pub(super) fn member_file(&self, own: Own) -> std::path::PathBuf {
         self.path(&format!("{}.member", own.label))
     }
 

@@ -51,13 +51,6 @@ pub(super) fn revoke(home: &Home, labels: &[String], context: &Context) -> anyho
     let claims = next(name, known, &authority.ledger.issued, &serials, None, unix_seconds())?;
     let signed = issue(authority.identity.key(), &claims)?;
     authority.ledger.issuance_log.keep_revocation(&signed)?;
-    // Nobody renews them any more.
-    let until = unix_seconds() + home.address()?.lifetime;
-    let ended = |issue: &Issue| match serials.contains(&issue.serial) {
-        true => Issue { ends: issue.ends.min(until), ..issue.clone() },
-        false => issue.clone(),
-    };
-    authority.ledger.issuance_log.keep_ledger(authority.ledger.issued.iter().map(ended).collect())?;
     for (label, serial) in &chosen {
         home.record("revoke", label, &[*serial])?;
         match joined.iter().find(|row| row.enrollment.member == *serial) {

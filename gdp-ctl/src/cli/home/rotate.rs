@@ -1,33 +1,31 @@
-//! `gdp-ctl admin rotate`: replaces the key of the domain by its successor. Everything that the
-//! domain signed for its members is signed again, and members take it from the directory. With
-//! `--retire`, nothing that the first key signed holds any longer.
+//! `gdp-ctl admin rotate`: the successor of the domain's key signs again what the domain signed for
+//! its members, who take it from the directory. With `--retire`, nothing that the first key signed
+//! holds any longer. Each step may be repeated after an interruption.
+
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::{Enrollment, MemberCert, Membership, Revocation, issue};
-use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 use gdp_directory::service::MemberRow;
 use gdp_util::terminal::note;
 use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::Serialize;
-use std::path::PathBuf;
 
 use super::renewals::OWN;
-use super::{Home, HomeOptions, enrollments, members, renewals};
+use super::{Home, HomeOptions, files, members};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::issuing::validity;
-use crate::cli::revocation::{next, publish};
+use crate::cli::revocation::{next, send};
 
-/// Name of the file with the membership of each label.
-pub const FILE: &str = "memberships";
+const NOT_SIGNED: &str = "gdp-ctl: not signed again: lines of `gdp-ctl invite` that were not used, peerings, and the \
+                          memberships of further switches (`gdp-ctl domain admit`). They end with --retire";
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Key file of the successor. Default: successor.pem in the folder.
-    #[arg(long, value_name = "FILE")]
-    successor: Option<PathBuf>,
     /// End everything that the first key signed. Members that did not connect since the rotation
     /// have to be invited again.
     #[arg(long)]
@@ -39,103 +37,120 @@ pub struct Options {
 /// Output of `gdp-ctl admin rotate`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RotationOutput {
-    /// Public key that signs for the domain now.
+    /// Public key of the successor.
     key: String,
-    /// Labels of the members whose certificates were signed again.
+    /// Labels of the members whose certificates were signed again now.
     members: Vec<String>,
+    /// Whether the first key is retired, and the RIB knows it.
     retired: bool,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let home = options.home.home()?;
-    let card = home.card()?;
-    let path = home.path("domain.pem");
-    let successor = options.successor.clone().unwrap_or_else(|| home.path("successor.pem"));
-    let current = if path.exists() { Some(SigningKey::load(&path)?) } else { None };
-    let has_succeeded = current.as_ref().is_some_and(|key| Some(key.verify_key()) == card.successor());
-    if !has_succeeded {
-        let key = SigningKey::load(&successor)?;
-        if Some(key.verify_key()) != card.successor() {
-            let (file, domain) = (successor.display(), card.name());
-            bail!(
-                "{file} is not the successor that the card of domain {domain:#} names; choose the file by --successor"
-            );
+    let folder = options.home.home()?.folder;
+    let successor = Some(options.home.key.clone().unwrap_or_else(|| default_key(&folder)));
+    // All that follows is signed by the successor.
+    let home = Home { folder, key: successor };
+    let key = home.successor()?;
+    let lifetime = home.address()?.lifetime;
+    for own in OWN {
+        let membership = home.membership(own)?;
+        if membership.signer_unverified()? != key {
+            home.admit(membership.cert.claims_unverified()?.entity, own, lifetime)?;
         }
-        let identity = Identity::of_domain(key, &card).context("the successor")?;
-        install(&identity, &path)?;
     }
     let rows = members::stored(&home)?.rows(unix_seconds());
-    let mut labels = Vec::new();
-    if !(has_succeeded && options.retire) {
-        let lifetime = home.address()?.lifetime;
-        for own in OWN {
-            let entity = home.membership(own)?.cert.claims_unverified()?.entity;
-            home.admit(entity, own, lifetime)?;
-        }
-        for row in rows {
-            labels.push(row.enrollment.label.clone());
-            readmit(&home, row, lifetime)?;
-        }
-        home.record("rotate", "", &[])?;
+    let members = home.readmit(rows.into_iter().filter(|row| row.signer != Some(key)).collect(), lifetime)?;
+    home.record("rotate", "", &[])?;
+    home.replace_key()?;
+    note(NOT_SIGNED);
+    if options.retire {
+        home.retire(context)?;
+    } else {
+        note("gdp-ctl: when all members were connected, end what the first key signed: gdp-ctl admin rotate --retire");
     }
-    let key = SigningKey::load(&path)?.verify_key().to_string();
-    let output = RotationOutput { key, members: labels, retired: options.retire };
+    let output = RotationOutput { key: key.to_string(), members, retired: options.retire };
     let count = output.members.len();
     context.output.print(&output, || match options.retire {
         true => [format!("The key {} signs for the domain, and no other.", output.key)],
         false => [format!("The key {} signs for the domain; {count} members have new certificates.", output.key)],
-    })?;
-    if options.retire {
-        return retire(&home, context);
+    })
+}
+
+/// Returns the file of the successor's key, which may have become the domain's.
+fn default_key(folder: &Path) -> PathBuf {
+    let file = folder.join("successor.pem");
+    if file.exists() { file } else { folder.join("domain.pem") }
+}
+
+impl Home {
+    /// Checks that this home signs by the key of the successor, and returns it.
+    fn successor(&self) -> anyhow::Result<VerifyKey> {
+        self.check_exists()?;
+        let (file, card) = (self.key.as_ref().context("a key")?, self.card()?);
+        let key = SigningKey::load(file)?.verify_key();
+        if Some(key) != card.successor() {
+            let (file, domain) = (file.display(), card.name());
+            bail!("{file} is not the successor that the card of domain {domain:#} names; choose its file by --key");
+        }
+        Ok(key)
     }
-    note("gdp-ctl: when all members were connected, end what the first key signed: gdp-ctl admin rotate --retire");
-    Ok(())
-}
 
-/// Replaces the domain's key.
-fn install(successor: &Identity, path: &std::path::Path) -> anyhow::Result<()> {
-    let new = path.with_extension("new");
-    let _ = std::fs::remove_file(&new);
-    successor.save_new(&new)?;
-    std::fs::rename(&new, path).with_context(|| format!("cannot replace {}", path.display()))
-}
+    /// Signs membership, enrollment and renewal of these members. Returns their labels.
+    fn readmit(&self, rows: Vec<MemberRow>, lifetime: u64) -> anyhow::Result<Vec<String>> {
+        let mut authority = self.authority()?;
+        let (domain, first) = (authority.identity.name(), authority.serial);
+        let (mut memberships, mut enrolled, mut renewed) = (Vec::new(), Vec::new(), Vec::new());
+        let (not_before, until) = validity(lifetime);
+        for (MemberRow { entity, enrollment, role, .. }, serial) in rows.into_iter().zip(first..) {
+            let (ends, label) = (enrollment.not_after, enrollment.label.clone());
+            let not_after = until.min(ends);
+            let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
+            let membership = Membership::issue(&authority.identity, &claims)?;
+            let enrollment = issue(authority.identity.key(), &Enrollment { member: serial, serial, ..enrollment })?;
+            let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
+            let to = To::Member { entity, role };
+            let issued = Issue { serial, to, label: Some(label.clone()), not_before, not_after, ends, file: None };
+            authority.ledger.issued.push(issued);
+            renewed.push((label.clone(), renewal.to_pem()));
+            enrolled.push((label.clone(), enrollment.to_pem()));
+            memberships.push((label, membership.to_pem()));
+        }
+        // The ledger first: what is not in it is not revoked. The memberships last, because the
+        // join service takes a membership with its enrollment.
+        authority.ledger.issuance_log.keep_ledger(authority.ledger.issued.clone())?;
+        let labels = memberships.iter().map(|(label, _)| label.clone()).collect();
+        self.keep_signed(files::RENEWALS, renewed)?;
+        self.keep_signed(files::ENROLLMENTS, enrolled)?;
+        self.keep_signed(files::MEMBERSHIPS, memberships)?;
+        Ok(labels)
+    }
 
-/// Signs membership, enrollment and renewal of a member by the domain's key.
-fn readmit(home: &Home, row: MemberRow, lifetime: u64) -> anyhow::Result<()> {
-    let authority = home.authority()?;
-    let MemberRow { entity, enrollment, role, .. } = row;
-    let (serial, ends, label) = (authority.serial, enrollment.not_after, enrollment.label.clone());
-    let (not_before, not_after) = validity(lifetime);
-    let not_after = not_after.min(ends);
-    let key = authority.identity.key();
-    let domain = authority.identity.name();
-    let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
-    let membership = Membership::issue(&authority.identity, &claims)?;
-    let enrollment = issue(key, &Enrollment { member: serial, serial, ..enrollment })?;
-    let renewal = home.delegate_renewal(&authority, serial, lifetime, ends)?;
-    authority.remember(Issue {
-        serial,
-        to: To::Member { entity, role },
-        label: Some(label.clone()),
-        not_before,
-        not_after,
-        ends,
-        file: None,
-    })?;
-    home.keep_signed(renewals::FILE, [(label.clone(), renewal.to_pem())])?;
-    home.keep_signed(enrollments::FILE, [(label.clone(), enrollment.to_pem())])?;
-    // The last one, because the join service takes a membership with its enrollment.
-    home.keep_signed(FILE, [(label, membership.to_pem())])
-}
+    /// Replaces the first key of the domain by the successor, if it is in the folder.
+    fn replace_key(&self) -> anyhow::Result<()> {
+        let (path, new) = (self.path("domain.pem"), self.path("domain.new"));
+        if !path.exists() {
+            return Ok(());
+        }
+        let key = SigningKey::load(self.key.as_ref().context("a key")?)?;
+        let identity = Identity::of_domain(key, &self.card()?).context("the successor")?;
+        match std::fs::remove_file(&new) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error).context("domain.new"),
+            _ => {}
+        }
+        identity.save_new(&new)?;
+        std::fs::rename(&new, &path).with_context(|| format!("cannot replace {}", path.display()))
+    }
 
-/// Publishes a revocation by the successor that ends what the first key signed.
-fn retire(home: &Home, context: &Context) -> anyhow::Result<()> {
-    let authority = home.authority()?;
-    let (name, known) = (authority.identity.name(), authority.ledger.revocation.as_ref());
-    let claims = next(name, known, &authority.ledger.issued, &[], None, unix_seconds())?;
-    let claims = Revocation { signer: Some(authority.identity.key().verify_key()), ..claims };
-    let signed = issue(authority.identity.key(), &claims)?;
-    authority.ledger.issuance_log.keep_revocation(&signed)?;
-    home.record("retire", "", &[])?;
-    publish(&authority.ledger.issuance_log, signed, &claims, true, "gdp-ctl admin rotate --retire", context)
+    /// Publishes a revocation that ends what the first key signed.
+    fn retire(&self, context: &Context) -> anyhow::Result<()> {
+        let authority = self.authority()?;
+        let (name, ledger) = (authority.identity.name(), &authority.ledger);
+        let claims = next(name, ledger.revocation.as_ref(), &ledger.issued, &[], None, unix_seconds())?;
+        let claims = Revocation { signer: Some(authority.identity.key().verify_key()), ..claims };
+        let signed = issue(authority.identity.key(), &claims)?;
+        ledger.issuance_log.keep_revocation(&signed)?;
+        self.record("retire", "", &[])?;
+        let again = "the revocation is stored and not published; `gdp-ctl up` or another `admin rotate --retire` does";
+        send(ledger.issuance_log.card(), signed, context).context(again)
+    }
 }

@@ -234,7 +234,8 @@ impl Home {
             revoke::revoke(self, &[SERVER.to_owned()], context)?;
         }
         let address = self.address()?;
-        let read = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: vec!["/**".into()] }];
+        let read = ["/**", "service:/**", "action:/**"].map(str::to_owned).to_vec();
+        let read = vec![TopicsOf { member: ALL_MEMBERS.into(), topics: read }];
         let (label, role) = (SERVER.to_owned(), SERVER.to_owned());
         let (duration, within) = (RENEWABLE, HOUR);
         let terms = Terms { label, role, expose: vec![], import: vec![], read, duration, within };

@@ -111,6 +111,13 @@ fn a_retired_key_signs_nothing_that_holds() {
     assert!(matches!(without.check_replaces(Some(&retired)), Err(CertError::Retired { .. })));
     later.check_replaces(Some(&retired)).unwrap();
 
+    // The first key retires nobody, and a high number of its revocations prevents nothing.
+    let reversed = Revocation { signer: Some(first.verify_key()), ..later.clone() };
+    assert!(verify(&first, &reversed).unwrap_err().to_string().contains("only a successor"));
+    let highest = Revocation { number: u64::MAX, ..without };
+    highest.check_replaces(None).unwrap();
+    retired.check_replaces(Some(&highest)).unwrap();
+
     // Nor does an enrollment by the first key widen what a later membership shares.
     let enrollment = |signer: &SigningKey, member| {
         issue(signer, &Enrollment { domain: name, ..sample(&by(signer), member) }).unwrap()

@@ -1,8 +1,8 @@
 //! A renewal extends one membership, within what the domain stated, and admits nobody.
 
 use super::*;
-use crate::cert::{Invite, Revocation};
-use crate::identity::Identity;
+use crate::cert::{Invite, Membership, Revocation, issue};
+use crate::identity::{Identity, SigningKey};
 
 const NOW: u64 = 1_800_000_000;
 const NANOS: u64 = 1_000_000_000;
@@ -119,6 +119,7 @@ fn the_key_of_a_delegation_renews_its_member_alone() {
         (&f.renewer, |claims| claims.domain = Name::from_bytes([9; 32]), "another membership"),
         (&f.renewer, |claims| claims.role = "rib".into(), "role rib"),
         (&f.renewer, |claims| claims.not_after += 2 * DAY, "longer than"),
+        (&f.renewer, |claims| (claims.serial, claims.not_after) = (9 * claims.serial, NOW + 364 * DAY), "longer than"),
         (&f.renewer, |claims| claims.serial = NOW * NANOS - 1, "before its delegation"),
         (&key(9), |_| (), "wrong key"),
     ] {

@@ -82,7 +82,7 @@ impl Membership {
             return refuse(RefusalCode::WrongEntity, format!("the membership is of {}, not of {entity}", cert.entity));
         }
         let known = domain.invitations.get(invite.serial).is_some();
-        let admitted = Admitted { entity, until: cert.not_after, is_renewed: membership.renewal.is_some() };
+        let admitted = Admitted { entity, until: cert.not_after };
         match domain.invitations.admit(&invite, admitted, now) {
             Ok(changed) => {
                 domain.changes += u64::from(changed);
