@@ -88,6 +88,7 @@ fn default(argument: &Arg) -> String {
 
 fn help(argument: &Arg) -> String {
     let text = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
+    assert!(!text.is_empty(), "{} needs a doc comment", argument.get_id());
     let mut help = sentence(&text);
     let values: Vec<String> = match argument.get_action().takes_values() {
         true => argument.get_possible_values().iter().filter(|value| !value.is_hide_set()).map(value).collect(),

@@ -11,25 +11,28 @@ pub fn write(title: &str, introduction: &str, schema: &Value) -> String {
     let mut keys = Keys { root: schema, mappings: VecDeque::new(), seen: Vec::new() };
     let mut body = wrapped(introduction);
     body += "## Keys of the file\n\n";
-    body += &keys.table(schema);
-    while let Some(name) = keys.mappings.pop_front() {
+    body += &keys.table("", schema);
+    while let Some((name, path)) = keys.mappings.pop_front() {
         let mapping = &schema["$defs"][&name];
-        body += &format!("## {name}\n\n");
+        body += &format!("## `{path}`\n\n");
         body += &wrapped(&plain(description(mapping)));
-        body += &keys.table(mapping);
+        body += &keys.table(&path, mapping);
     }
     page(title, &body)
 }
 
 struct Keys<'a> {
     root: &'a Value,
-    /// Mappings that were mentioned and are not described yet.
-    mappings: VecDeque<String>,
-    seen: Vec<String>,
+    /// Mappings that were mentioned and are not described yet, each with the path of its first key.
+    mappings: VecDeque<(String, String)>,
+    seen: Vec<(String, String)>,
 }
 
 impl Keys<'_> {
-    fn table(&mut self, mapping: &Value) -> String {
+    /// # Panics
+    ///
+    /// If a key has no description.
+    fn table(&mut self, path: &str, mapping: &Value) -> String {
         let none = Map::new();
         let properties = mapping["properties"].as_object().unwrap_or(&none);
         let mut names: Vec<&String> = properties.keys().collect();
@@ -47,29 +50,40 @@ impl Keys<'_> {
                 "" => description(self.target(property)).to_owned(),
                 text => text.to_owned(),
             };
+            assert!(!text.is_empty(), "{path}: {name} needs a doc comment");
             let values = self.described_values(property);
-            vec![format!("`{name}`"), self.kind(property), default, format!("{} {values}", plain(&text))]
+            let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+            vec![format!("`{name}`"), self.kind(&path, property), default, format!("{} {values}", plain(&text))]
         });
         let rows: Vec<Vec<String>> = rows.collect();
         table(&["key", "value", "default", "meaning"], &rows)
     }
 
-    /// Returns what a value looks like. Null counts as absent.
-    fn kind(&mut self, schema: &Value) -> String {
+    /// Returns what the value at a path of keys looks like. Null counts as absent.
+    fn kind(&mut self, path: &str, schema: &Value) -> String {
         if let Some(name) = reference(schema) {
             let target = &self.root["$defs"][name];
             if !target["properties"].is_object() {
-                return self.kind(target);
+                return self.kind(path, target);
             }
-            if !self.seen.iter().any(|seen| seen == name) {
-                self.seen.push(name.to_owned());
-                self.mappings.push_back(name.to_owned());
-            }
-            return format!("[{name}](#{})", name.to_lowercase());
+            let path = match self.seen.iter().find(|(seen, _)| seen == name) {
+                Some((_, path)) => path.clone(),
+                None => {
+                    // Several kinds of mappings may be at one path.
+                    let taken = self.seen.iter().filter(|(_, seen)| seen.split(' ').next() == Some(path)).count();
+                    let path = if taken == 0 { path.to_owned() } else { format!("{path} ({})", taken + 1) };
+                    self.seen.push((name.to_owned(), path.clone()));
+                    self.mappings.push_back((name.to_owned(), path.clone()));
+                    path
+                }
+            };
+            let anchor: String = path.to_lowercase().replace(' ', "-");
+            let anchor = anchor.replace(['.', '(', ')'], "");
+            return format!("[mapping `{path}`](#{anchor})");
         }
         let alternatives = ["anyOf", "oneOf"].iter().find_map(|key| schema[*key].as_array());
         if let Some(alternatives) = alternatives {
-            let mut kinds: Vec<String> = alternatives.iter().map(|schema| self.kind(schema)).collect();
+            let mut kinds: Vec<String> = alternatives.iter().map(|schema| self.kind(path, schema)).collect();
             kinds.retain(|kind| !kind.is_empty());
             kinds.dedup();
             return kinds.join(" or ");
@@ -85,9 +99,9 @@ impl Keys<'_> {
             kind => kind.as_str(),
         };
         match kind {
-            Some("array") => format!("list of {}", self.kind(&schema["items"])),
+            Some("array") => format!("list of {}", self.kind(path, &schema["items"])),
             Some("object") if schema["additionalProperties"].is_object() => {
-                format!("mapping to {}", self.kind(&schema["additionalProperties"]))
+                format!("mapping to {}", self.kind(path, &schema["additionalProperties"]))
             }
             Some("object") => "mapping".to_owned(),
             Some("string") => "text".to_owned(),

@@ -27,6 +27,7 @@ mod logs;
 mod losses;
 mod malicious;
 mod onboarding;
+mod pages;
 mod pairings;
 mod patient;
 mod planes;
