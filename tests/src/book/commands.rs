@@ -100,9 +100,13 @@ fn is_placeholder(word: &str) -> bool {
 
 impl CommandLine {
     fn problem(&self, command: &clap::Command) -> Option<String> {
-        // Brackets show what is optional.
-        let words: Vec<&str> = self.words.iter().map(|word| word.trim_matches(['[', ']'])).collect();
-        if self.is_mention && (words.len() == 1 || words.contains(&"…")) {
+        // Brackets show what is optional. Bars separate alternatives, of which the first counts.
+        let plain = |word: &String| match word.trim_matches(['[', ']']) {
+            word if self.is_mention => word.split('|').next().unwrap_or_default().to_owned(),
+            word => word.to_owned(),
+        };
+        let words: Vec<String> = self.words.iter().map(plain).collect();
+        if self.is_mention && (words.len() == 1 || words.iter().any(|word| word == "…")) {
             return None;
         }
         let is_loose = self.is_mention || words.iter().any(|word| is_placeholder(word));

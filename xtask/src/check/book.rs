@@ -31,7 +31,9 @@ pub fn broken_links() -> Result<Vec<String>> {
             let target = if file.is_empty() { path.clone() } else { normal(&folder.join(file)) };
             if !workspace::root().join(&target).exists() {
                 found.push(format!("{at}: {link}: there is no {}", target.display()));
-            } else if !anchor.is_empty() && target.extension().is_some_and(|extension| extension == "md") {
+            } else if path.starts_with("docs") && !target.starts_with("docs") && is_page(&target) {
+                found.push(format!("{at}: {link}: mdBook expects a page of the book; link to its folder"));
+            } else if !anchor.is_empty() && is_page(&target) {
                 let known = match anchors.get(&target) {
                     Some(known) => known,
                     None => anchors.entry(target.clone()).or_insert(anchors_of(&Document::read(&target)?)),
@@ -43,6 +45,10 @@ pub fn broken_links() -> Result<Vec<String>> {
         }
     }
     Ok(found)
+}
+
+fn is_page(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "md")
 }
 
 /// Returns the pages that the book lacks or has twice, and a README that is too long.
