@@ -79,7 +79,7 @@ impl Keys<'_> {
             };
             let anchor: String = path.to_lowercase().replace(' ', "-");
             let anchor = anchor.replace(['.', '(', ')'], "");
-            return format!("[mapping `{path}`](#{anchor})");
+            return format!("mapping [{path}](#{anchor})");
         }
         let alternatives = ["anyOf", "oneOf"].iter().find_map(|key| schema[*key].as_array());
         if let Some(alternatives) = alternatives {
