@@ -30,7 +30,8 @@ fn the_reference_page_has_the_error_codes() {
     let refusals = Value::from(schema_for!(gdp_proto::control::RefusalCode));
     let introduction = "A command that fails prints its reason, and after a semicolon the remedy. With `-j` it also \
                         prints `{\"v\":2,\"error\":{\"code\":…,\"reason\":…,\"remedy\":…}}` on stdout. \
-                        [Every message, its cause and its remedy](../troubleshoot.md) has more.";
+                        [Every message, its cause and its remedy](../troubleshoot.md) has more. \
+                        [gdp-proxy](gdp-proxy.md) states its exit status on its page.";
     let status = Cli::command().get_after_help().map(ToString::to_string).unwrap_or_default();
     let body = wrapped(introduction)
         + "## Exit status\n\n"

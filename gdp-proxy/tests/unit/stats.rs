@@ -150,7 +150,7 @@ fn the_reference_page_has_every_counter() {
         Counter::ALL.iter().map(|counter| row(counter.as_str(), counter.about())).collect(),
     ) + &section(
         "Segments and messages at a reader",
-        "The proxy's statistics (`gdp-proxy --stats FILE`) have these under `fabric`, and `gdp-ctl topic` names them.",
+        "The proxy's statistics (`gdp-proxy --stats FILE`) have these under `fabric` of each topic that comes in.",
         gdp_e2e::seal::DropReason::ALL.iter().map(|reason| row(reason.label(), reason.about())).collect(),
     ) + &section(
         "Messages of topics at a proxy",
@@ -158,7 +158,7 @@ fn the_reference_page_has_every_counter() {
         Drop::ALL.iter().map(|reason| row(reason.as_str(), reason.about())).collect(),
     ) + &section(
         "Calls at a proxy",
-        "The proxy's statistics have these for each service and action.",
+        "The proxy's statistics have these under `failures` of each service and action.",
         CallReason::ALL.iter().map(|reason| row(reason.as_str(), reason.about())).collect(),
     );
     reference::check("docs/reference/counters.md", &page("Counters and drop reasons", &body));

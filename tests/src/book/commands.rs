@@ -121,11 +121,13 @@ impl CommandLine {
                 | ErrorKind::TooFewValues
                 | ErrorKind::WrongNumberOfValues
         );
-        let is_fine = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+        let is_help = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+        if is_help || (self.is_mention && is_incomplete) {
+            return None;
+        }
         let reason = error.to_string();
         let reason = reason.split("\n\n").next().unwrap_or_default();
-        (!is_fine && !(self.is_mention && is_incomplete))
-            .then(|| format!("{}: `{}`: {reason}", self.at, self.words.join(" ")))
+        Some(format!("{}: `{}`: {reason}", self.at, self.words.join(" ")))
     }
 }
 
@@ -139,3 +141,7 @@ fn loose(command: clap::Command) -> clap::Command {
         })
         .mut_subcommands(loose)
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/book/commands.rs"]
+mod tests;

@@ -61,3 +61,7 @@ pub fn is_as_shown(shown: &str, printed: &str) -> bool {
     }
     rest.ends_with(last)
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/book/console.rs"]
+mod tests;
