@@ -25,7 +25,7 @@ fn commands_are_found_behind_sudo_pipes_and_variables() {
 
 #[test]
 fn a_renamed_command_or_option_and_a_wrong_value_are_found() {
-    for good in ["p do --number 3", "p do --number N", "p do --number $N", "p do key.pem", "p --help"] {
+    for good in ["p do --number 3", "p do --number NUMBER", "p do --number $N", "p do key.pem", "p --help"] {
         assert_eq!(line(good, false), None, "{good}");
     }
     for bad in ["p did", "p do --numbers 3", "p do --number x", "p", "p do a b"] {
