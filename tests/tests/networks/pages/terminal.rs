@@ -7,6 +7,7 @@ use std::os::fd::{FromRawFd as _, OwnedFd};
 use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
@@ -15,6 +16,8 @@ pub struct Terminal {
     child: Child,
     keyboard: File,
     screen: Arc<Mutex<String>>,
+    /// Ends when the last program has closed the terminal.
+    reader: JoinHandle<()>,
     /// The length of the text on the screen when something was typed last.
     typed_at: usize,
 }
@@ -41,15 +44,14 @@ impl Terminal {
         drop(command);
         let screen = Arc::new(Mutex::new(String::new()));
         let (shown, mut from) = (screen.clone(), keyboard.try_clone()?);
-        std::thread::spawn(move || {
+        let reader = std::thread::spawn(move || {
             let mut buffer = [0; 4096];
-            // Ends with an error when the last program has closed the terminal.
             while let Ok(length @ 1..) = from.read(&mut buffer) {
                 let text = String::from_utf8_lossy(&buffer[..length]).replace('\r', "");
                 shown.lock().unwrap_or_else(PoisonError::into_inner).push_str(&text);
             }
         });
-        Ok(Self { child, keyboard, screen, typed_at: 0 })
+        Ok(Self { child, keyboard, screen, reader, typed_at: 0 })
     }
 
     /// Returns the text on the screen, without colours and lines of the log, which pages omit.
@@ -74,7 +76,10 @@ impl Terminal {
             return Ok(false);
         }
         // What it printed last may still be on its way.
-        std::thread::sleep(Duration::from_millis(20));
+        let deadline = Instant::now() + Duration::from_secs(5);
+        while !self.reader.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(1));
+        }
         Ok(true)
     }
 
