@@ -257,3 +257,7 @@ fn stop_signal() -> Result<impl Future<Output = ()>> {
         }
     })
 }
+
+#[cfg(test)]
+#[path = "../tests/unit/program.rs"]
+mod tests;

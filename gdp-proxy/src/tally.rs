@@ -18,10 +18,17 @@ pub trait Reason: Copy + 'static {
 
 /// Defines an enumeration of reasons, each with its name in the statistics.
 macro_rules! reasons {
-    ($(#[$about:meta])* pub enum $Reasons:ident { $($(#[$doc:meta])* $Reason:ident = $name:literal,)+ }) => {
+    ($(#[$about:meta])* pub enum $Reasons:ident { $($(#[doc = $doc:literal])* $Reason:ident = $name:literal,)+ }) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum $Reasons { $($(#[$doc])* $Reason,)+ }
+        pub enum $Reasons { $($(#[doc = $doc])* $Reason,)+ }
+
+        impl $Reasons {
+            /// Returns the reason in a sentence, as its documentation states it.
+            pub const fn about(self) -> &'static str {
+                match self { $(Self::$Reason => concat!($($doc),+)),+ }
+            }
+        }
 
         impl $crate::tally::Reason for $Reasons {
             const ALL: &'static [Self] = &[$(Self::$Reason),+];

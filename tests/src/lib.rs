@@ -1,6 +1,7 @@
 //! Harness of the tests that need root, also used by `xtask demo` and `xtask bench`.
 //!
 //! - [`netns`]: network namespaces, veth pairs, entering a namespace and leaving it again
+//! - [`book`]: the documents, their commands, and the pages that are written from the code
 //! - [`chain`]: robot – switches – cloud; [`packet`]: eavesdropping and injection on its
 //!   cables; [`wire`]: a cable with faults
 //! - [`ring`]: five daemons in a ring; [`replicas`]: three replicas of the RIB, on [`etcd`]
@@ -20,6 +21,7 @@
 //!
 //! Dropping the guard of a resource removes the resource, also after a panic or Ctrl-C.
 
+pub mod book;
 pub mod chain;
 pub mod dds_domain;
 pub mod dpdk;

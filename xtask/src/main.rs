@@ -4,6 +4,7 @@
 //! [`workspace`] (paths). Nothing here is part of the product.
 
 mod bench;
+mod book;
 mod build;
 mod check;
 mod debug_symbols;
@@ -14,6 +15,7 @@ mod fresh;
 mod fuzz;
 mod pairings;
 mod peers;
+mod reference;
 mod run;
 mod setup;
 mod shell;
@@ -23,7 +25,7 @@ mod workspace;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use gdp_tests::wait::Interrupted;
 
 #[derive(Parser)]
@@ -45,8 +47,12 @@ enum Verb {
     Test(test::Options),
     /// Send a ROS 2 topic across a network of switches from one DDS vendor to another (needs root)
     Demo(demo::Options),
-    /// Check the rules of the source tree: import cycles, lengths, words, facade
+    /// Check the rules of the source tree: import cycles, lengths, words, facade, links
     Check(check::Options),
+    /// Build the documents as a book, in the folder `book`
+    Book(book::Options),
+    /// Write the pages and schemas of docs that are made from the code
+    Reference(reference::Options),
     /// Try each ROS software with rclpy through two proxies, and print the table of docs/ros.md
     Pairings(pairings::Options),
     /// Fuzz the parsers of untrusted input
@@ -70,7 +76,9 @@ fn main() -> ExitCode {
         Verb::Run(options) => run::run(options),
         Verb::Test(options) => test::run(options),
         Verb::Demo(options) => demo::run(options),
-        Verb::Check(options) => check::run(options),
+        Verb::Check(options) => check::run(options, &Cli::command()),
+        Verb::Book(options) => book::run(options),
+        Verb::Reference(options) => reference::run(options),
         Verb::Pairings(options) => pairings::run(options),
         Verb::Fuzz(options) => fuzz::run(options),
         Verb::Soak(options) => soak::run(options),

@@ -2,6 +2,7 @@
 //! unknown keys are errors. The daemon reads it once at start. Paths in it are relative to its
 //! folder.
 
+mod domain;
 mod dpdk;
 mod etcd;
 
@@ -13,13 +14,15 @@ use std::{fmt, fs};
 
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::crypto::Backend;
-use gdp_core::domain::{CredentialFiles, MAX_PEERS};
 use gdp_core::file_kind::FileKind;
 use gdp_link::link::RekeySchedule;
 use gdp_util::yaml;
 use gdp_wire::Name;
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
+use self::domain::DomainEntry;
+pub use self::domain::{DomainConfig, Inside};
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
@@ -69,29 +72,8 @@ pub struct Config {
     pub rekey: RekeySchedule,
 }
 
-/// The membership of a daemon in a trust domain.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DomainConfig {
-    /// The credential files. The daemon reloads them when they change.
-    pub files: CredentialFiles,
-    /// Whether endpoints without a membership get no link.
-    pub members_only: bool,
-    pub trace: Inside,
-}
-
-/// What a border shows other domains that trace a name through this one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Inside {
-    /// Only whether frames get through, and in what time.
-    #[default]
-    Masked,
-    /// Every switch on the path.
-    Open,
-}
-
 /// The data plane that the user selects.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum DataPlane {
     /// XDP where it attaches, else the userspace plane.
@@ -265,41 +247,49 @@ impl From<folders::NoFolder> for ParseError {
 }
 
 /// The schema of the file.
-#[derive(Debug, Default, Deserialize)]
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 struct File {
+    /// The file of the switch's private key, which is created if it does not exist. By default
+    /// `/var/lib/gdp/switch.pem` for root, else `~/.local/state/gdp/switch.pem`.
     identity: Option<PathBuf>,
+    /// The path of the admin socket. By default `/run/gdp/ctl.sock` for root, else
+    /// `$XDG_RUNTIME_DIR/gdp/ctl.sock`.
     socket: Option<PathBuf>,
+    /// Ethernet interfaces with links of their own, and with XDP whatever it disturbs. By default
+    /// those that other keys name. `--interface` adds to them.
     interfaces: Option<Vec<String>>,
+    /// Address and port of links over UDP, by default `0.0.0.0:31415`. `null` turns UDP off.
+    #[schemars(with = "Option<String>")]
     udp: UdpConfig,
+    /// The data plane, by default `auto`.
     data_plane: DataPlane,
+    /// The devices and the resources of the DPDK plane.
     dpdk: DpdkEntry,
+    /// Whether this daemon is the RIB. By default it is, unless it has an `uplink`.
     rib: Option<bool>,
     /// A neighbour like the others. If it is set, the RIB is elsewhere.
     uplink: Option<NeighbourAddressEntry>,
+    /// The switches to have links with.
     neighbours: Vec<NeighbourAddressEntry>,
+    /// Another file with the XDP programs than the executable contains.
     ebpf_object: Option<PathBuf>,
+    /// The largest number of names in the FIB, from 1 to 16777216; by default 65536.
     fib_capacity: Option<u32>,
-    /// The BPF file system; `null` turns pinning off.
+    /// The BPF file system in which XDP outlives the daemon. `null` turns that off.
     #[serde(default = "default_bpffs")]
     bpffs: Option<PathBuf>,
+    /// Membership of a trust domain.
     domain: Option<DomainEntry>,
+    /// Addresses where other domains reach this border, best first.
+    #[schemars(with = "Vec<String>")]
     public: Vec<SocketAddr>,
+    /// The store of RIB replicas.
     etcd: Option<EtcdEntry>,
+    /// What verifies certificates, if it is not the default: `aws-lc`, or `rustcrypto`, which is
+    /// all Rust.
+    #[schemars(with = "Option<String>")]
     crypto: Option<Backend>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DomainEntry {
-    card: PathBuf,
-    membership: PathBuf,
-    #[serde(default)]
-    peers: Vec<PathBuf>,
-    #[serde(default)]
-    members_only: bool,
-    #[serde(default)]
-    trace: Inside,
 }
 
 /// The `udp` key. Unlike a missing key, `null` turns UDP off.
@@ -320,15 +310,23 @@ impl<'de> Deserialize<'de> for UdpConfig {
     }
 }
 
-#[derive(Debug, Deserialize)]
+/// A neighbouring switch, at an interface or at an address: one of the two.
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct NeighbourAddressEntry {
+    /// The neighbour's name, 64 hex digits.
     switch: Name,
+    /// The Ethernet interface that it is on.
     interface: Option<String>,
+    /// Its address and port.
+    #[schemars(with = "Option<String>")]
     udp: Option<SocketAddr>,
+    /// The cost of the link, at least 1. By default it follows from the round-trip time.
     cost: Option<u32>,
+    /// Makes the link from this side. Otherwise the switch with the smaller name does.
     #[serde(default)]
     dial: bool,
+    /// The neighbour is a border of the domain above.
     #[serde(default)]
     parent: bool,
 }
@@ -394,10 +392,8 @@ impl File {
         if !(1..=1 << 24).contains(&fib_capacity) {
             return invalid(format!("fib_capacity: {fib_capacity} is not between 1 and {}", 1 << 24));
         }
-        if let Some(domain) = &self.domain
-            && domain.peers.len() > MAX_PEERS
-        {
-            return invalid(format!("domain: {} peers, where at most {MAX_PEERS} are shown", domain.peers.len()));
+        if let Some(domain) = &self.domain {
+            domain.check().map_err(ParseError::Invalid)?;
         }
         if self.public.len() > MAX_ADDRESSES {
             return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
@@ -435,15 +431,7 @@ impl File {
             bpffs: self.bpffs.map(here),
             public: self.public,
             crypto: self.crypto,
-            domain: self.domain.map(|entry| DomainConfig {
-                files: CredentialFiles {
-                    card: here(entry.card),
-                    membership: here(entry.membership),
-                    peers: entry.peers.into_iter().map(here).collect(),
-                },
-                members_only: entry.members_only,
-                trace: entry.trace,
-            }),
+            domain: self.domain.map(|entry| entry.within(folder)),
             etcd,
             rekey: RekeySchedule::default(),
         })

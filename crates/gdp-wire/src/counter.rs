@@ -17,11 +17,11 @@ pub const fn is_sampled(tag: u64) -> bool {
 }
 
 macro_rules! counters {
-    ($($(#[$doc:meta])* $variant:ident = $text:literal,)*) => {
+    ($($(#[doc = $doc:literal])* $variant:ident = $text:literal,)*) => {
         /// The outcome for a frame.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[repr(u32)]
-        pub enum Counter { $($(#[$doc])* $variant,)* }
+        pub enum Counter { $($(#[doc = $doc])* $variant,)* }
 
         impl Counter {
             /// All counters, in index order.
@@ -30,6 +30,11 @@ macro_rules! counters {
             /// Returns the name of the counter in command output, metrics and fixtures.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Counter::$variant => $text,)* }
+            }
+
+            /// Returns what the counter counts, as its documentation states it.
+            pub const fn about(self) -> &'static str {
+                match self { $(Counter::$variant => concat!($($doc),*),)* }
             }
         }
     };

@@ -66,7 +66,10 @@ pub enum Command {
         meta: Vec<String>,
     },
     /// Show the contents of a name card.
-    Show { card: PathBuf },
+    Show {
+        /// File of the name card.
+        card: PathBuf,
+    },
 }
 
 /// Kind of a name.

@@ -23,11 +23,11 @@ const SILENT: usize = 4;
 
 /// Show the switches on the path to a name, and the time to each.
 ///
-/// Probes follow the path of the name's frames in the data plane from the daemon's switch, the
-/// first for one hop, the next for two, and so on. The switch at the last hop answers through the
+/// Probes follow the path of the name's frames in the data plane from the daemon's switch. The
+/// first goes one hop, the next two, and so on. The switch at the last hop answers through the
 /// switches' daemons. Each time therefore includes the outward path in the data plane and the
-/// return path between daemons. The daemon's switch must have a route to the name. It has one if an
-/// entity that sends to the name is attached to this switch, or if NAME is a switch.
+/// return path between daemons. The daemon's switch must have a route to the name. It has
+/// one if an entity that sends to the name is attached here, or if NAME is a switch.
 ///
 /// Where the path leaves for another domain, the border switches on both sides measure the time
 /// between them. The other domain reports how the path continues, in what time, and into which

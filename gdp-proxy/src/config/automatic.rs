@@ -159,7 +159,9 @@ pub struct RuleOptions {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RuleSaid {
+    /// The pattern, such as `/camera/**`.
     topic: Pattern,
+    /// QoS of the topics. If absent: the QoS that each publisher offers.
     #[serde(default)]
     qos: Option<Qos>,
     #[serde(default)]
@@ -168,12 +170,15 @@ pub(super) struct RuleSaid {
     compression: Option<Compression>,
     #[serde(default)]
     frame_prefix: Option<FramePrefix>,
+    /// Maximum rate of each publisher in messages per second.
     #[serde(default)]
     max_hz: Option<NonZeroU32>,
     #[serde(default)]
     priority: Option<Priority>,
+    /// Sends each frame over two links at once.
     #[serde(default)]
     duplicate: Option<bool>,
+    /// Further metadata of the name cards. Another value makes another name.
     #[serde(default)]
     meta: BTreeMap<String, String>,
 }
@@ -185,8 +190,10 @@ pub struct ReaderConfig(pub Grantee);
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Role {
+    /// The domain's name, 64 hex digits.
     #[schemars(with = "String")]
     domain: Name,
+    /// The role of its members.
     role: String,
 }
 

@@ -25,13 +25,17 @@ pub enum GraphConfig {
     Zenoh(ZenohConfig),
 }
 
-/// The keys of a graph of any kind.
+/// A graph of ROS 2 by `domain_id`, of ROS 1 by `master`, or of rmw_zenoh by `zenoh`.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Said {
+    /// The DDS domain ID (ROS_DOMAIN_ID).
     domain_id: Option<DomainId>,
+    /// The URI of the ROS 1 master, such as `http://localhost:11311`.
     master: Option<String>,
+    /// The address at which ROS 1 nodes reach the proxy (ROS_IP).
     host: Option<String>,
+    /// The locator of the Zenoh router, such as `tcp/localhost:7447`.
     zenoh: Option<String>,
 }
 

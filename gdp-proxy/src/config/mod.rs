@@ -180,7 +180,9 @@ impl From<&DomainConfig> for CredentialFiles {
 #[derive(Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Definitions {
+    /// Folders of ROS 1.
     pub ros1: Vec<PathBuf>,
+    /// Folders of ROS 2.
     pub ros2: Vec<PathBuf>,
 }
 

@@ -25,6 +25,7 @@ pub struct TopicConfig {
     /// the type that the publishers use.
     #[serde(default, rename = "type")]
     pub kind: Option<TypeName>,
+    /// Where messages go.
     pub direction: Direction,
     /// The topic's name card (`gdp-ctl name create`).
     pub card: PathBuf,

@@ -23,7 +23,9 @@ const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Qos {
+    /// Whether lost messages are sent again; by default `reliable`.
     pub reliability: Reliability,
+    /// Whether late subscribers get earlier messages; by default `volatile`.
     pub durability: Durability,
     /// Keep-last history depth in messages, at least 1. It also bounds the messages that wait for
     /// the fabric before some are dropped.

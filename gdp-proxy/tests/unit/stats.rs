@@ -4,8 +4,13 @@ use std::time::Duration;
 
 use gdp::LinkState;
 
+use gdp_tests::book::reference::{self, page, table, wrapped};
+use gdp_wire::Counter;
+
 use super::*;
+use crate::call::Reason as CallReason;
 use crate::config::What;
+use crate::tally::Reason;
 
 /// Of version 5.
 const KEYS: [&str; 10] = [
@@ -130,4 +135,38 @@ fn the_file_is_whole_and_says_what_happened() {
         assert_eq!((&topic["drops"]["send_failed"], &topic["fabric"]), (&0.into(), &serde_json::Value::Null));
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn the_reference_page_has_every_counter() {
+    let section = |title: &str, text: &str, rows: Vec<Vec<String>>| {
+        format!("## {title}\n\n{}{}", wrapped(text), table(&["counter", "meaning"], &rows))
+    };
+    let row = |name: &str, about: &str| vec![format!("`{name}`"), with_counter_names(about)];
+    let body = section(
+        "Frames at a switch",
+        "`gdp-ctl status` and `gdp-ctl xdp stats` show these. Every frame and every copy is counted in exactly one. A \
+         frame that is lost afterwards is also counted as `drop_redirect_lost`.",
+        Counter::ALL.iter().map(|counter| row(counter.as_str(), counter.about())).collect(),
+    ) + &section(
+        "Segments and messages at a reader",
+        "The proxy's statistics (`gdp-proxy --stats FILE`) have these under `fabric` of each topic that comes in.",
+        gdp_e2e::seal::DropReason::ALL.iter().map(|reason| row(reason.label(), reason.about())).collect(),
+    ) + &section(
+        "Messages of topics at a proxy",
+        "The proxy's statistics have these under `drops` of each topic. The log names each reason once for a topic.",
+        Drop::ALL.iter().map(|reason| row(reason.as_str(), reason.about())).collect(),
+    ) + &section(
+        "Calls at a proxy",
+        "The proxy's statistics have these under `failures` of each service and action.",
+        CallReason::ALL.iter().map(|reason| row(reason.as_str(), reason.about())).collect(),
+    );
+    reference::check("docs/reference/counters.md", &page("Counters and drop reasons", &body));
+}
+
+/// Replaces Rust's names of counters by those that users see.
+fn with_counter_names(about: &str) -> String {
+    Counter::ALL.iter().fold(about.to_owned(), |about, counter| {
+        about.replace(&format!("[`Counter::{counter:?}`]"), &format!("`{}`", counter.as_str()))
+    })
 }

@@ -28,6 +28,7 @@ mod logs;
 mod losses;
 mod malicious;
 mod onboarding;
+mod pages;
 mod pairings;
 mod patient;
 mod planes;

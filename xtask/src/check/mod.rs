@@ -1,6 +1,7 @@
 //! `cargo xtask check`: checks rules of the source tree that the compiler does not check. It takes
 //! seconds.
 
+mod book;
 mod dependencies;
 mod facade;
 mod imports;
@@ -33,7 +34,8 @@ struct Rule {
     findings: Vec<String>,
 }
 
-pub fn run(options: Options) -> Result<()> {
+/// Checks the rules. `xtask` is the command line of this program, which documents mention.
+pub fn run(options: Options, xtask: &clap::Command) -> Result<()> {
     let product: HashMap<PathBuf, SourceFile> =
         sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
     let rules = [
@@ -43,10 +45,13 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a line is too wide (code 120, comments and documents 100)", findings: lines::wide_lines()? },
         Rule {
             name: "a file's or item's first sentence is missing or over 25 words",
-
             findings: prose::findings(&product),
         },
         Rule { name: "a document's sentence has more than 25 words", findings: prose::documents()? },
+        Rule { name: "a link of a document leads nowhere", findings: book::broken_links()? },
+        Rule { name: "a page is not once in docs/SUMMARY.md, or README is too long", findings: book::pages()? },
+        Rule { name: "a fenced block does not say what it is", findings: book::blocks()? },
+        Rule { name: "a document's `cargo xtask` does not exist", findings: book::commands(xtask)? },
         Rule { name: "a type name is defined more than three times", findings: names::repeated_types(&product) },
         Rule { name: "a word of the list that may not come back", findings: names::retired_words(&product) },
         Rule { name: "the facade shows more than 60 items", findings: facade::findings(&product) },

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use gdp_dataplane::dpdk::{AUXILIARY, BEFORE_XDP, DpdkConfig, DpdkPort, LARGEST_ROOM};
@@ -39,22 +40,31 @@ const LARGEST_XDP: usize = 3072;
 /// The maximum sleep of a loop, in microseconds.
 const MAX_IDLE_US: u32 = 100_000;
 
-/// The schema of the section.
-#[derive(Debug, Default, Deserialize)]
+/// The section `dpdk`, for `data_plane: dpdk`.
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct DpdkEntry {
+    /// The devices that the plane drives, at most 32.
     ports: Vec<PortEntry>,
+    /// Uses huge pages, which network cards need.
     huge_pages: bool,
+    /// The memory of the plane in MiB, from 64 to 65536; by default 256.
     memory_mib: Option<u32>,
+    /// Processor cores, one polling loop on each. By default one loop on any core.
     cores: Vec<usize>,
+    /// The longest sleep of an idle loop in microseconds, up to 100000. 0 does not sleep.
     idle_us: Option<u32>,
 }
 
-#[derive(Debug, Deserialize)]
+/// A device of the DPDK plane.
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct PortEntry {
+    /// The name of the host's interface for it, up to 15 characters.
     interface: String,
+    /// A PCI address, or a driver with its arguments.
     device: String,
+    /// The MTU in bytes, at least 1280. By default 1500.
     mtu: Option<u32>,
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::store::{Access, ClientCertificate, Endpoint, Login, Tls};
@@ -22,17 +23,24 @@ pub struct EtcdConfig {
     pub access: Access,
 }
 
-/// The schema of the section.
-#[derive(Debug, Deserialize)]
+/// The section `etcd`, in builds with the cargo feature `etcd`.
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct EtcdEntry {
+    /// The URLs of the members of one etcd cluster, 1 to 16.
     endpoints: Vec<String>,
+    /// The prefix of all keys, another one for each domain.
     #[serde(default = "default_prefix")]
     prefix: String,
+    /// PEM file of the CA that certifies the members. Endpoints with `https` need it.
     ca: Option<PathBuf>,
+    /// PEM file of the client certificate, if etcd demands one.
     cert: Option<PathBuf>,
+    /// PEM file of the client certificate's key.
     key: Option<PathBuf>,
+    /// The user of etcd, if it has authentication enabled. Only with `https`.
     user: Option<String>,
+    /// A file with one line, the user's password.
     password_file: Option<PathBuf>,
 }
 

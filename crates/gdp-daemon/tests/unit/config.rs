@@ -1,5 +1,7 @@
 //! Unit tests of `config`.
 
+use gdp_tests::book::{file_keys, reference};
+
 use super::*;
 use crate::store::{Access, Login};
 
@@ -10,6 +12,22 @@ fn parse(text: &str) -> Result<Config, String> {
         ParseError::Invalid(reason) => reason,
         ParseError::Folder(error) => error.to_string(),
     })
+}
+
+#[test]
+fn the_reference_page_has_the_keys_of_this_file() {
+    let introduction = "These are the keys of `gdp-ctl serve --config FILE`. The file is strict YAML: unknown keys \
+                        are errors. The daemon reads it once, at start. Relative paths are relative to its folder. \
+                        All keys of the file are optional. [Run one switch](../guide/switch.md) has an example.";
+    let schema = serde_json::Value::from(schemars::schema_for!(File));
+    reference::check("docs/reference/switch-file.md", &file_keys::write("The switch's file", introduction, &schema));
+}
+
+#[test]
+fn the_files_in_documents_are_good() {
+    for (at, text) in gdp_tests::book::files("gdp.yaml").unwrap() {
+        parse(&text).unwrap_or_else(|error| panic!("{at}: {error}"));
+    }
 }
 
 #[test]

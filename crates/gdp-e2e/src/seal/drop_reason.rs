@@ -3,11 +3,11 @@
 use std::fmt;
 
 macro_rules! reasons {
-    ($($(#[$doc:meta])* $variant:ident = $label:literal,)*) => {
+    ($($(#[doc = $doc:literal])* $variant:ident = $label:literal,)*) => {
         /// The reason that a segment or a whole message was not delivered.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[repr(u8)]
-        pub enum DropReason { $($(#[$doc])* $variant,)* }
+        pub enum DropReason { $($(#[doc = $doc])* $variant,)* }
 
         impl DropReason {
             /// All reasons in numerical order.
@@ -17,6 +17,11 @@ macro_rules! reasons {
             /// reasons of frames.
             pub const fn label(self) -> &'static str {
                 match self { $(Self::$variant => concat!("seal_", $label),)* }
+            }
+
+            /// Returns the reason in a sentence, as its documentation states it.
+            pub const fn about(self) -> &'static str {
+                match self { $(Self::$variant => concat!($($doc),*),)* }
             }
         }
     };

@@ -39,25 +39,32 @@ pub struct Options {
 }
 
 /// The file.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Fleet {
+    /// The version of the format, 1.
     version: u64,
+    /// The members by their labels.
     members: BTreeMap<String, MemberTerms>,
 }
 
 /// A member in the file. The keys are those of `gdp-ctl invite`.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct MemberTerms {
+    /// Patterns of topics that others may read, such as `/camera/**`.
     #[serde(default)]
     expose: Vec<String>,
+    /// Patterns of topics to get from the server.
     #[serde(default)]
     import: Vec<String>,
+    /// Topics of others to read, such as `robot7:/camera/**`.
     #[serde(default)]
     read: Vec<String>,
+    /// How long the membership lasts, such as `7d`. By default 365 days.
     #[serde(default, rename = "for")]
     duration: Option<String>,
+    /// The role of the membership, for grants that name one.
     #[serde(default)]
     role: Option<String>,
 }
@@ -201,3 +208,7 @@ impl Home {
         self.keep_signed(files::ENROLLMENTS, [(enrollment.label, signed.to_pem())])
     }
 }
+
+#[cfg(test)]
+#[path = "../../../tests/unit/cli/fleet.rs"]
+mod tests;

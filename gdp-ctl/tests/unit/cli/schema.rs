@@ -1,19 +1,16 @@
 //! Unit tests of `cli::schema`.
 
-use clap::CommandFactory;
 use std::collections::BTreeSet;
+
+use clap::CommandFactory;
+use gdp_tests::book::reference;
 
 use super::super::Cli;
 use super::*;
 
 #[test]
 fn the_published_schema_is_this_one() {
-    let published = include_str!("../../../../docs/gdp-ctl.schema.json");
-    let schema: Value = schema().into();
-    assert!(
-        serde_json::from_str::<Value>(published).unwrap() == schema,
-        "write it again: gdp-ctl --schema > docs/gdp-ctl.schema.json"
-    );
+    reference::check("docs/gdp-ctl.schema.json", &(serde_json::to_string_pretty(&schema()).unwrap() + "\n"));
 }
 
 #[test]

@@ -2,18 +2,37 @@
 
 use std::path::Path;
 
+use gdp_tests::book::{file_keys, reference};
 use serde_json::Value;
 
 use super::*;
 
 #[test]
 fn the_published_schema_is_this_one() {
-    let published = include_str!("../../../../docs/gdp-proxy.schema.json");
-    let schema: Value = schema().into();
-    assert!(
-        serde_json::from_str::<Value>(published).unwrap() == schema,
-        "write it anew: gdp-proxy --schema > docs/gdp-proxy.schema.json"
-    );
+    let text = serde_json::to_string_pretty(&schema()).unwrap() + "\n";
+    reference::check("docs/gdp-proxy.schema.json", &text);
+}
+
+#[test]
+fn the_reference_page_has_the_keys_of_this_file() {
+    let introduction = "These are the keys of the file of `gdp-proxy`. It is strict YAML: unknown keys are errors. \
+                        The proxy reads it again when it changes, or at SIGHUP. Relative paths are relative to its \
+                        folder. [ROS topics, services and actions](../ros.md) has examples. For editors there is \
+                        [gdp-proxy.schema.json](../gdp-proxy.schema.json).";
+    let page = file_keys::write("The proxy's file", introduction, &schema().into());
+    reference::check("docs/reference/proxy-file.md", &page);
+}
+
+/// Parts of a file get the keys without which there is none.
+#[test]
+fn the_files_in_documents_are_good() {
+    for (at, text) in gdp_tests::book::files("proxy.yaml").unwrap() {
+        let lacks = |key: &&str| !text.lines().any(|line| line.split(':').next() == key.split(':').next());
+        let required = ["version: 1", "identity: id.pem", "links: [{to: 'udp://h:31415'}]"];
+        let whole: String = required.iter().filter(|line| lacks(line)).map(|line| format!("{line}\n")).collect();
+        let whole = whole + &text;
+        Config::parse(&whole, Path::new("proxy.yaml")).unwrap_or_else(|error| panic!("{at}: {error}"));
+    }
 }
 
 #[test]
