@@ -21,6 +21,7 @@ mod federation;
 mod fence;
 mod flooding;
 mod graceful_restart;
+mod inspection;
 pub mod interfaces;
 mod links;
 mod liveness;
