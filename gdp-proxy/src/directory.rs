@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp::{Node, NodeError, SubscribeOptions};
 use gdp_core::cert::Reading;
@@ -20,6 +21,8 @@ use crate::permission::Permission;
 use crate::renewal::{Notified, Renewal};
 use crate::ros2::TopicName;
 use crate::route_status::{RETRY, Right, RouteStatus, ticks};
+use crate::stats::DirectoryStats;
+use crate::waiting::Waiting;
 
 /// The members whose certificates hold, in the order of their labels.
 pub type Members = Arc<[Member]>;
@@ -33,9 +36,15 @@ pub struct SharedByDirectory {
 
 /// Reads the directory, forever, and reports each change. Without a directory it does nothing,
 /// forever. The members of the last directory stay while its publisher is away.
-pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &watch::Sender<Members>) -> Infallible {
-    let Some(DirectoryMaterial { card, domain, grant, file }) = material else { return std::future::pending().await };
-    let status = RouteStatus::new("directory".into(), card.name(), None);
+pub async fn follow(
+    node: &Node,
+    material: Option<DirectoryMaterial>,
+    status: Option<&RouteStatus>,
+    members: &watch::Sender<Members>,
+) -> Infallible {
+    let (Some(DirectoryMaterial { card, domain, grant, file }), Some(status)) = (material, status) else {
+        return std::future::pending().await;
+    };
     let (mut right, mut pause) = (Right::read(grant, file), RETRY);
     loop {
         let subscribed = node.subscribe(card.proof(), right.current(), SubscribeOptions::reliable()).await;
@@ -43,12 +52,16 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
             Ok(mut subscription) => {
                 pause = RETRY;
                 status.is_up();
+                if members.borrow().is_empty() {
+                    status.set_status(Waiting::Directory.as_str());
+                }
                 let mut looks = ticks();
                 loop {
                     tokio::select! {
                         message = subscription.recv() => match message {
                             Some(message) if message.encoding == DIRECTORY => {
                                 take(&message.body, domain, node.name(), members);
+                                status.set_status("up");
                             }
                             Some(_) => {}
                             None => break NodeError::from(subscription.ended().await),
@@ -61,6 +74,23 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
         };
         status.pause(error, &mut pause, &mut right).await;
     }
+}
+
+/// Returns the status of the directory, if there is one.
+pub fn status(material: Option<&DirectoryMaterial>) -> Option<RouteStatus> {
+    material.map(|of| RouteStatus::new("directory".into(), of.card.name(), None))
+}
+
+/// Returns the directory's part of the statistics.
+pub fn stats(status: &RouteStatus) -> DirectoryStats {
+    DirectoryStats { name: status.name(), status: status.status(), waiting_for: status.waiting_for() }
+}
+
+/// Looks at what the directory waits for.
+pub fn look(status: &RouteStatus, node: &Node) {
+    let waits_for = || (status.status() == Waiting::Directory.as_str()).then_some(Waiting::Directory);
+    let place = |_| "; the join service on the domain's server publishes it".to_owned();
+    status.look(Instant::now(), node.switch().is_ok(), waits_for, place);
 }
 
 fn take(body: &[u8], domain: Name, own: Name, members: &watch::Sender<Members>) {

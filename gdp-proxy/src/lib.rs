@@ -51,3 +51,4 @@ pub mod stats;
 mod tally;
 pub mod timing;
 mod turns;
+mod waiting;

@@ -5,7 +5,7 @@ use anyhow::bail;
 use clap::Args;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::links::Counts;
-use gdp_proto::admin::status::{StatusReply, TierStatus, Warning};
+use gdp_proto::admin::status::{RecentRefusal, StatusReply, TierStatus, Warning};
 use gdp_proto::control::{AttachmentStatus, Inspected, Inspection};
 use gdp_util::date::relative;
 use gdp_util::unix_time::unix_seconds;
@@ -113,6 +113,13 @@ fn describe(status: &StatusReply) -> Vec<String> {
     for (peer, errors) in refused.chain(in_grace.iter().map(|link| (&link.peer, &link.errors_received))) {
         let line = |(code, count)| format!("{peer:#} refused frames of this switch: {count} × {code}");
         lines.extend(errors.iter().map(line));
+    }
+    if !status.refused.is_empty() {
+        let row = |it: &RecentRefusal| {
+            [format!("{:#}", it.peer), it.what.to_string(), format!("× {}", it.count), it.reason.clone()]
+        };
+        let rows: Vec<_> = status.refused.iter().map(row).collect();
+        lines.extend(section(["refused in the last minute", "what", "count", "reason"], &rows));
     }
     let handshakes = &status.handshakes;
     if handshakes.challenged + handshakes.refused + handshakes.displaced + handshakes.failed > 0 {

@@ -29,6 +29,7 @@ mod peering;
 mod port_owner;
 mod ports;
 mod ready;
+mod recent_refusals;
 mod refusals;
 mod replica;
 mod report;

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp_core::cert::{Adjoining, LinkState};
 use gdp_core::peer::Role;
@@ -92,6 +93,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
         udp: daemon.udp.get().copied(),
         links: links(&core),
         links_in_grace: links_in_grace(&core),
+        refused: core.switch.recent_refusals.all(Instant::now()),
         handshakes: handshakes(daemon.port_config.handshakes.read()),
         counters,
         counters_by_plane,
