@@ -47,6 +47,7 @@ pub mod route;
 mod route_material;
 mod route_status;
 pub mod routes;
+mod silence;
 pub mod stats;
 mod tally;
 pub mod timing;

@@ -28,6 +28,7 @@ use crate::reload::{LoadError, Loaded, Watch};
 use crate::route_material::RouteMaterial;
 use crate::route_status::{RouteStatus, ticks};
 use crate::routes::{self, CallPlan, Calls, Planned, RoutePlan, Routes};
+use crate::silence;
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 
@@ -38,6 +39,9 @@ const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
 /// Time after which the log reports that no switch has answered.
 const SILENCE: Duration = Duration::from_secs(2);
+
+/// The log line if nothing says why.
+const OPEN: &str = "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way?";
 
 /// Runs until `stop` completes, or an error occurs that only a restart can fix. `watch` watches the
 /// configuration that was loaded.
@@ -245,14 +249,15 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     let mut reported: Option<String> = None;
     loop {
         let mut connecting = std::pin::pin!(Node::connect(node.clone()));
+        let silence = async {
+            tokio::time::sleep(SILENCE).await;
+            silence::reason(config.links.iter().map(|link| &link.to)).await
+        };
         let connected = tokio::select! {
             connected = &mut connecting => connected,
-            () = tokio::time::sleep(SILENCE), if reported.is_none() => {
-                tracing::warn!(
-                    links = %addresses,
-                    "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way? \
-                     Trying on"
-                );
+            reason = silence, if reported.is_none() => {
+                let reason = reason.map_or_else(|| OPEN.to_owned(), |reason| format!("no answer yet: {reason}"));
+                tracing::warn!(links = %addresses, "{reason} Trying on");
                 connecting.await
             }
         };

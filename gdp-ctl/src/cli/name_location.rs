@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use gdp::{Client as ServiceClient, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Client as ServiceClient, NodeError, PublishOptions, Publisher, Reading, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::name::NamePrefix;
 use gdp_proto::admin::Request;
@@ -19,6 +19,7 @@ use crate::cli::node::NodeOptions;
 use crate::client::Client;
 use crate::ros::fabric::Fabric;
 use crate::ros::keyring::{FindError, called};
+use crate::ros::members;
 
 /// Maximum number of publishers or servers to which a reader or caller traces.
 const MAX_COUNTERPARTS: usize = 8;
@@ -62,7 +63,7 @@ pub fn with_paths<T>(
     context: &Context,
     what: impl AsyncFnOnce(&mut Paths<'_>) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    if node.names_switch() {
+    if node.asks_elsewhere(context) {
         let by_node = async |fabric: &Fabric| what(&mut Paths::of_switch(name, fabric).await?).await;
         return node.with_fabric(node.keyring()?, context, by_node);
     }
@@ -87,9 +88,14 @@ impl<'a> Paths<'a> {
         let begun = Instant::now();
         locate(fabric, own, own).await?;
         let first_us = begun.elapsed().as_micros() as u64;
-        let (names, registration) = match find(what, own, fabric)? {
-            Target::Name(name) => (vec![name], None),
-            Target::Card(card) => register(&card, fabric).await?,
+        let (names, registration) = match find(what, own, fabric) {
+            Ok(Target::Name(name)) => (vec![name], None),
+            Ok(Target::Card(card)) => register(&card, fabric, None).await?,
+            Err(_) if what.starts_with('/') && fabric.keyring.has_directory() => {
+                let shared = members::find(fabric, what, "topic").await?;
+                register(&shared.card, fabric, Some(shared.grant)).await?
+            }
+            Err(error) => return Err(error),
         };
         let mut locations = Vec::new();
         for name in names {
@@ -172,16 +178,26 @@ fn find(what: &str, own: Name, fabric: &Fabric) -> anyhow::Result<Target> {
     }
 }
 
-/// Registers with the right to the name that the keyring has. Returns the names to which this
-/// entity may then send.
-async fn register(card: &NameCard, fabric: &Fabric) -> anyhow::Result<(Vec<Name>, Option<Registration>)> {
+/// Registers with the right to the name that the keyring has, or with this grant. Returns the names
+/// to which this entity may then send.
+async fn register(
+    card: &NameCard,
+    fabric: &Fabric,
+    grant: Option<Reading>,
+) -> anyhow::Result<(Vec<Name>, Option<Registration>)> {
     let (node, now) = (&fabric.node, unix_seconds());
     let is_service = card.get("kind") == Some("service");
-    if !is_service && let Ok(right) = fabric.keyring.ad(card, node.name(), now) {
+    if !is_service
+        && grant.is_none()
+        && let Ok(right) = fabric.keyring.ad(card, node.name(), now)
+    {
         let publisher = node.publish(card.proof(), right, PublishOptions::best_effort()).await?;
         return Ok((vec![card.name()], Some(Registration::Publisher(Box::new(publisher)))));
     }
-    let grant = fabric.keyring.grant(card, node.name(), now)?;
+    let grant = match grant {
+        Some(grant) => grant,
+        None => fabric.keyring.grant(card, node.name(), now)?,
+    };
     let registration = match is_service {
         true => Registration::Client(Box::new(node.client(card.proof(), grant).await?)),
         false => {

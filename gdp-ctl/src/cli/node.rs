@@ -45,9 +45,12 @@ pub struct NodeOptions {
 }
 
 impl NodeOptions {
-    /// Whether the user names a switch, instead of this machine's daemon.
-    pub fn names_switch(&self) -> bool {
-        self.switch.is_some()
+    /// Whether to ask a switch elsewhere instead of this machine's daemon: the user names one, or
+    /// there is no daemon and this machine has joined a domain.
+    pub fn asks_elsewhere(&self, context: &Context) -> bool {
+        let has_daemon = || context.socket.is_some() || folders::admin_socket().is_ok_and(|socket| socket.exists());
+        let is_joined = || self.folder().is_ok_and(|folder| Keyring::is_joined(&folder));
+        self.switch.is_some() || (!has_daemon() && is_joined())
     }
 
     /// Opens the keyring, and warns about omitted files.

@@ -37,7 +37,7 @@ pub enum StatusOutput {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let output = match options.node.names_switch() {
+    let output = match options.node.asks_elsewhere(context) {
         true => {
             let by_node = async |fabric: &Fabric| match fabric.node.inspect(Inspection::Status).await? {
                 Inspected::Status(status) => Ok(status),
