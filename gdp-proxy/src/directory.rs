@@ -89,8 +89,8 @@ pub fn stats(status: &RouteStatus) -> DirectoryStats {
 /// Looks at what the directory waits for.
 pub fn look(status: &RouteStatus, node: &Node) {
     let waits_for = || (status.status() == Waiting::Directory.as_str()).then_some(Waiting::Directory);
-    let place = |_| "; the join service on the domain's server publishes it".to_owned();
-    status.look(Instant::now(), node.switch().is_ok(), waits_for, place);
+    let detail = |_| "; the join service on the domain's server publishes it".to_owned();
+    status.look(Instant::now(), node.switch().is_ok(), waits_for, detail);
 }
 
 fn take(body: &[u8], domain: Name, own: Name, members: &watch::Sender<Members>) {

@@ -163,13 +163,13 @@ impl RouteStatus {
     }
 
     /// Records what the route waits for: the switch, permission, or else what `otherwise` returns.
-    /// Logs it once if it lasts; `place` completes that line.
+    /// Logs it once if it lasts; `detail` completes that line.
     pub fn look(
         &self,
         now: Instant,
         is_attached: bool,
         otherwise: impl FnOnce() -> Option<Waiting>,
-        place: impl FnOnce(Waiting) -> String,
+        detail: impl FnOnce(Waiting) -> String,
     ) {
         let (is_refused, stands_by) = {
             let progress = self.progress();
@@ -183,7 +183,7 @@ impl RouteStatus {
         };
         let is_due = self.wait.lock().look(now, waiting);
         let Some(waiting) = waiting.filter(|_| is_due) else { return };
-        let line = || format!("{} of {}{}", waiting.as_str(), self.title, place(waiting));
+        let line = || format!("{} of {}{}", waiting.as_str(), self.title, detail(waiting));
         match WAITS.take(now) {
             Some(0) => tracing::info!(name = %self.name, "{}", line()),
             Some(more) => tracing::info!(name = %self.name, "{}; {more} such lines were not logged", line()),

@@ -80,7 +80,7 @@ impl<R: Carries> Work for RunningRoute<R> {
     fn look(&self, now: Instant) {
         let graph = &self.plan.graph;
         let waits_for = || self.route.waits_for(graph);
-        self.route.route_status().look(now, self.node.switch().is_ok(), waits_for, |waiting| place(waiting, graph));
+        self.route.route_status().look(now, self.node.switch().is_ok(), waits_for, |waiting| detail(waiting, graph));
     }
 
     fn failed(&self, why: &str) {
@@ -95,19 +95,19 @@ impl<R: Carries> Work for RunningRoute<R> {
 }
 
 /// Says where a route waits, and for a publisher or server what is there instead.
-fn place(waiting: Waiting, graph: &Graph) -> String {
+fn detail(waiting: Waiting, graph: &Graph) -> String {
     if !waiting.is_local() {
         return String::new();
     }
-    let place = format!(" in {}", graph.describe());
+    let graph_name = format!(" in {}", graph.describe());
     let kind = match waiting {
         Waiting::LocalPublisher => "topic is published",
         Waiting::LocalServer => "service or action is served",
-        _ => return place,
+        _ => return graph_name,
     };
     match names_in(graph, waiting == Waiting::LocalServer, MAX_SEEN) {
-        (names, _) if names.is_empty() => format!("{place}; no {kind} there"),
-        (names, 0) => format!("{place}; seen there: {}", names.join(", ")),
-        (names, more) => format!("{place}; seen there: {}, and {more} more", names.join(", ")),
+        (names, _) if names.is_empty() => format!("{graph_name}; no {kind} there"),
+        (names, 0) => format!("{graph_name}; seen there: {}", names.join(", ")),
+        (names, more) => format!("{graph_name}; seen there: {}, and {more} more", names.join(", ")),
     }
 }

@@ -62,8 +62,8 @@ impl Waiting {
 pub struct TopicEnds {
     /// `out`: the topic has publishers in the local graph. `in`: it has subscribers there.
     pub local: bool,
-    /// `out`: the number of readers in the fabric. `in`: of publishers there. None until the name is
-    /// registered.
+    /// `out`: the number of readers in the fabric. `in`: of publishers there. None until the name
+    /// is registered.
     pub remote: Option<usize>,
 }
 

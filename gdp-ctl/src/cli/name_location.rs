@@ -100,7 +100,6 @@ impl<'a> Paths<'a> {
         let mut locations = Vec::new();
         for name in names {
             let located = locate(fabric, own, name).await;
-            let is_unknown = |error: &anyhow::Error| matches!(error.downcast_ref(), Some(NodeError::Refused(refusal)) if refusal.code == RefusalCode::NotFound);
             match located {
                 // A name without receivers has no route.
                 Err(error) if registration.is_some() && is_unknown(&error) => {}
@@ -150,6 +149,14 @@ impl<'a> Paths<'a> {
             }
         }
         Ok(domains)
+    }
+}
+
+/// Returns whether the switch answers that there is no such name for this entity.
+fn is_unknown(error: &anyhow::Error) -> bool {
+    match error.downcast_ref() {
+        Some(NodeError::Refused(refusal)) => refusal.code == RefusalCode::NotFound,
+        _ => false,
     }
 }
 

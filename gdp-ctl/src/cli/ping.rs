@@ -22,9 +22,9 @@ use gdp_proto::admin::trace::{EchoReply, LocateReply, PathEnd, ProbeReply};
 /// to each switch that delivers the name. The daemon of that switch answers, through the daemons on
 /// the path. For a topic, each of its switches answers; its readers receive no request.
 ///
-/// A machine without a daemon needs --switch, and a key and rights in its keyring. A publisher pings
-/// its topic, a reader the topic's publishers, and everybody the switch itself. Times include the
-/// link to the switch.
+/// A machine without a daemon needs --switch, and a key and rights in its keyring. A publisher
+/// pings its topic, a reader the topic's publishers, and everybody the switch itself. Times include
+/// the link to the switch.
 ///
 /// The command ends after COUNT requests, or at ^C. The exit status is 1 if nothing has answered.
 #[derive(Debug, Args)]

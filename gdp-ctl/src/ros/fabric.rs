@@ -38,9 +38,9 @@ impl Fabric {
     /// Attaches to a switch.
     pub async fn join(keyring: Keyring, identity: Identity, link: LinkConfig) -> anyhow::Result<Self> {
         let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
-        let place = link.target.to_string();
+        let target = link.target.to_string();
         let config = NodeConfig { credentials, links: vec![link.clone()], ..NodeConfig::new(identity, link.target) };
-        let node = Node::connect(config).await.with_context(|| format!("cannot attach at {place}"))?;
+        let node = Node::connect(config).await.with_context(|| format!("cannot attach at {target}"))?;
         Ok(Self { node, keyring })
     }
 

@@ -1,5 +1,5 @@
-//! `status`, `ping` and `trace` with `--switch`, from machines without a daemon, at a chain of three
-//! switches: what an endpoint is shown, and what it is not.
+//! `status`, `ping` and `trace` with `--switch`, from machines without a daemon, at a chain of
+//! three switches: what an endpoint is shown, and what it is not.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;

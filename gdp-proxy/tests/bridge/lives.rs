@@ -230,7 +230,7 @@ async fn what_a_topic_waits_for_is_said_once_and_ends_with_a_publisher() {
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
     let others = Domain::join(id, "others").unwrap();
     let _other = others.writer(&topic("/other"), &kind, &RELIABLE).unwrap();
-    let _heard = others.reader(&topic("/heard"), &kind, &RELIABLE).unwrap();
+    let _subscriber = others.reader(&topic("/read"), &kind, &RELIABLE).unwrap();
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let proxy = site.proxy_of("a", &domain(id), &topics, "direction: out", "diagnostics: true");
     let waiting = |value: &'static str| {
@@ -253,7 +253,7 @@ async fn what_a_topic_waits_for_is_said_once_and_ends_with_a_publisher() {
         }
     })
     .await;
-    assert!(logged()[0].contains("seen there: /other") && !logged()[0].contains("/heard"), "{:?}", logged());
+    assert!(logged()[0].contains("seen there: /other") && !logged()[0].contains("/read"), "{:?}", logged());
 
     let listening = Domain::join(id, "listener").unwrap();
     let diagnostics = TypeName::parse("diagnostic_msgs/msg/DiagnosticArray").unwrap();

@@ -1,8 +1,8 @@
 //! Answers questions of attached endpoints: their own attachment, and the paths of names to which
 //! they may send.
 //!
-//! An endpoint learns nothing of other endpoints, except how many links a switch has to receivers of
-//! such a name. Of an unknown name and of one to which it may not send, it gets the same answer.
+//! An endpoint learns nothing of other endpoints, except how many links a switch has to receivers
+//! of such a name. Of an unknown name and of one to which it may not send, it gets the same answer.
 
 use std::sync::Arc;
 

@@ -1,5 +1,5 @@
-//! What was refused in the last minute, by peer: links and registrations. `gdp-ctl status` shows it.
-//! Any peer may cause refusals, so their number and the length of a reason are bounded.
+//! What was refused in the last minute, by peer: links and registrations. `gdp-ctl status` shows
+//! it. Any peer may cause refusals, so their number and the length of a reason are bounded.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -67,7 +67,7 @@ impl RecentRefusals {
             count: entry.count(slot),
             age_s: now.saturating_duration_since(entry.at).as_secs(),
         };
-        all.into_iter().map(shown).collect()
+        all.into_iter().map(output).collect()
     }
 
     fn slot(&self, now: Instant) -> u64 {

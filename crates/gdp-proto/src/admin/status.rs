@@ -37,7 +37,7 @@ pub struct StatusReply {
     /// Links whose peers fell silent or have a newer link, or that an earlier daemon left; by id.
     pub links_in_grace: Vec<GraceLink>,
     pub handshakes: Handshakes,
-    /// Refused links and registrations of the last minute, of the latest 64 peers; the latest first.
+    /// Refused links and registrations of the last minute, at most 64; the latest first.
     pub refused: Vec<RecentRefusal>,
     /// Of all data planes together.
     pub counters: Counts,

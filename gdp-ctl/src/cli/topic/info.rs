@@ -83,8 +83,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let info = while_waiting(&asking, unless_interrupted(gather(fabric, card))).await?;
         Ok(info.map(|info| (card.clone(), info)))
     };
-    let gathered = options.node.with_card(&options.what, "topic", context, gather)?;
-    let Some((card, info)) = gathered else { return Ok(()) };
+    let asked = options.node.with_card(&options.what, "topic", context, gather)?;
+    let Some((card, info)) = asked else { return Ok(()) };
     context.output.print(&InfoOutput::new(&card, &info), || lines(&card, &info, options.verbose))
 }
 
