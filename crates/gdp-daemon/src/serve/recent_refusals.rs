@@ -60,7 +60,7 @@ impl RecentRefusals {
         let slot = self.slot(now);
         let mut all: Vec<_> = self.entries.iter().filter(|(_, entry)| entry.count(slot) > 0).collect();
         all.sort_by_key(|(_, entry)| std::cmp::Reverse(entry.at));
-        let shown = |(&(peer, _), entry): (&(Name, &str), &Entry)| RecentRefusal {
+        let output = |(&(peer, _), entry): (&(Name, &str), &Entry)| RecentRefusal {
             peer,
             what: entry.what,
             reason: entry.reason.clone(),
