@@ -19,7 +19,8 @@ const TIMEOUT: Duration = Duration::from_secs(15);
 pub enum ClientError {
     #[error(
         "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with --socket. A \
-         robot needs none: there, use `gdp-ctl topic`, `service` and `query` with --switch udp://HOST", path.display()
+         robot needs none: there, use `gdp-ctl topic`, `service`, `query`, `ping`, `trace` and `status` with \
+         --switch udp://HOST", path.display()
     )]
     NoDaemon { path: PathBuf, source: std::io::Error },
     #[error("not allowed to use the daemon's socket {}; run this as the user who runs the daemon", .0.display())]

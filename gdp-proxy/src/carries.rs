@@ -5,6 +5,7 @@ use crate::peer_proxies::Candidate;
 use crate::ros2::TypeName;
 use crate::route_material::RouteMaterial;
 use crate::route_status::{RouteError, RouteStatus};
+use crate::waiting::Waiting;
 use gdp::Node;
 use gdp_core::card::NameCard;
 use gdp_ros::types::Types;
@@ -30,6 +31,9 @@ pub trait Carries: Send + Sync + 'static {
     fn route_status(&self) -> &RouteStatus;
 
     fn stats(&self) -> Self::Stats;
+
+    /// Returns what is missing for messages to flow while the route is attached and permitted.
+    fn waits_for(&self, graph: &Graph) -> Option<Waiting>;
 
     /// Runs the route until `stop` completes, the graph fails or the node is closed. It delivers
     /// what it has sent by then, if it can.

@@ -14,7 +14,9 @@ use serde::Serialize;
 use crate::config::{Config, Side};
 use crate::graph::{All, Graph, GraphError, Writer};
 use crate::ros2::{NameError, Qos, TopicName};
+use crate::route_status::STANDING_BY;
 use crate::stats::RouteStats;
+use crate::waiting::Waiting;
 use gdp_ros::roster::{Dialect, Kind};
 use gdp_ros::types::{Converter, Form, TypeError, Types};
 
@@ -146,12 +148,17 @@ impl Diagnostics {
     }
 
     fn status(&mut self, route: &RouteStats, before: &Before) -> DiagnosticStatus {
-        let RouteStats { topic, graph, status, direction, name, counted, kind, .. } = route;
+        let RouteStats { topic, graph, status, direction, name, counted, kind, waiting_for, .. } = route;
         let drops = counted.drops.values().sum();
         let key = (*name, graph.clone(), *direction);
         let (messages_before, drops_before) = before.get(&key).copied().unwrap_or_default();
         self.before.insert(key, (counted.messages, drops));
-        let level = level(status, drops > drops_before);
+        let level = level(status, *waiting_for, drops > drops_before);
+        let message = match waiting_for {
+            // The status then only says that the route is ready.
+            Some(waiting) if status == "up" => waiting.as_str().into(),
+            _ => status.clone(),
+        };
         let direction = match direction {
             Side::Out => "out",
             Side::In => "in",
@@ -165,12 +172,15 @@ impl Diagnostics {
             value("rate (Hz)", counted.messages.saturating_sub(messages_before).to_string()),
             value("messages", counted.messages.to_string()),
         ];
+        values.extend(
+            waiting_for.map(|waiting| value("waiting for", waiting.as_str().trim_start_matches("waiting for ").into())),
+        );
         let dropped = counted.drops.iter().filter(|(_, count)| **count > 0);
         values.extend(dropped.map(|(reason, count)| value(&format!("dropped: {reason}"), count.to_string())));
         DiagnosticStatus {
             level: level as u8,
             name: format!("gdp_proxy: {topic} {direction}"),
-            message: status.clone(),
+            message,
             hardware_id: format!("{:#}", self.entity),
             values,
         }
@@ -196,14 +206,17 @@ pub async fn due(diagnostics: &mut Option<Diagnostics>) {
     }
 }
 
-/// Returns the level of a route from its status text, and from whether it dropped messages since
-/// the last report.
-fn level(status: &str, drops: bool) -> Level {
-    match status {
-        "up" if drops => Level::Warn,
-        "up" => Level::Ok,
-        "starting" | "waiting for a local publisher" => Level::Stale,
-        standing_by if standing_by.starts_with("standing by") => Level::Ok,
+/// Returns the level of a route from its status text, what it waits for, and whether it dropped
+/// messages since the last report.
+fn level(status: &str, waiting_for: Option<Waiting>, drops: bool) -> Level {
+    match (status, waiting_for) {
+        (standing_by, _) if standing_by.starts_with(STANDING_BY) => Level::Ok,
+        (_, Some(Waiting::Permission)) => Level::Error,
+        (_, Some(_)) => Level::Warn,
+        ("up", None) if drops => Level::Warn,
+        ("up", None) => Level::Ok,
+        ("starting", None) => Level::Stale,
+        (waiting, None) if waiting == Waiting::LocalPublisher.as_str() => Level::Stale,
         _ => Level::Error,
     }
 }

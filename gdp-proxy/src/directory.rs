@@ -5,6 +5,7 @@
 use std::convert::Infallible;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::Context as _;
 use gdp::{Node, NodeError, SubscribeOptions};
@@ -24,6 +25,8 @@ use crate::permission::Permission;
 use crate::renewal::{Notified, Renewal};
 use crate::ros2::TopicName;
 use crate::route_status::{RETRY, Right, RouteStatus, ticks};
+use crate::stats::DirectoryStats;
+use crate::waiting::Waiting;
 
 /// The members whose certificates hold, in the order of their labels.
 pub type Members = Arc<[Member]>;
@@ -37,10 +40,14 @@ pub struct SharedByDirectory {
 
 /// Reads the directory, forever, and reports each change. Without a directory it does nothing,
 /// forever. The members of the last directory stay while its publisher is away.
-pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &watch::Sender<Members>) -> Infallible {
-    let Some(material) = material else { return std::future::pending().await };
+pub async fn follow(
+    node: &Node,
+    material: Option<DirectoryMaterial>,
+    status: Option<&RouteStatus>,
+    members: &watch::Sender<Members>,
+) -> Infallible {
+    let (Some(material), Some(status)) = (material, status) else { return std::future::pending().await };
     let DirectoryMaterial { card, domain, membership, grant, file } = material;
-    let status = RouteStatus::new("directory".into(), card.name(), None);
     let (mut right, mut pause) = (Right::read(grant, file), RETRY);
     loop {
         let subscribed = node.subscribe(card.proof(), right.current(), SubscribeOptions::reliable()).await;
@@ -48,12 +55,16 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
             Ok(mut subscription) => {
                 pause = RETRY;
                 status.is_up();
+                if members.borrow().is_empty() {
+                    status.set_status(Waiting::Directory.as_str());
+                }
                 let mut looks = ticks();
                 loop {
                     tokio::select! {
                         message = subscription.recv() => match message {
                             Some(message) if message.encoding == DIRECTORY => {
                                 take(&message.body, domain, node.name(), &membership, members);
+                                status.set_status("up");
                             }
                             Some(_) => {}
                             None => break NodeError::from(subscription.ended().await),
@@ -66,6 +77,23 @@ pub async fn follow(node: &Node, material: Option<DirectoryMaterial>, members: &
         };
         status.pause(error, &mut pause, &mut right).await;
     }
+}
+
+/// Returns the status of the directory, if there is one.
+pub fn status(material: Option<&DirectoryMaterial>) -> Option<RouteStatus> {
+    material.map(|of| RouteStatus::new("directory".into(), of.card.name(), None))
+}
+
+/// Returns the directory's part of the statistics.
+pub fn stats(status: &RouteStatus) -> DirectoryStats {
+    DirectoryStats { name: status.name(), status: status.status(), waiting_for: status.waiting_for() }
+}
+
+/// Looks at what the directory waits for.
+pub fn look(status: &RouteStatus, node: &Node) {
+    let waits_for = || (status.status() == Waiting::Directory.as_str()).then_some(Waiting::Directory);
+    let detail = |_| "; the join service on the domain's server publishes it".to_owned();
+    status.look(Instant::now(), node.switch().is_ok(), waits_for, detail);
 }
 
 fn take(body: &[u8], domain: Name, own: Name, file: &Path, members: &watch::Sender<Members>) {

@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 use std::ops::Add;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use tokio::sync::watch;
@@ -34,6 +34,9 @@ pub trait Work: Send + Sync + 'static {
     type Stats;
 
     fn stats(&self) -> Self::Stats;
+
+    /// Looks at what the work waits for. It is called once a second.
+    fn look(&self, _: Instant) {}
 
     /// Logs and shows a failure. The manager begins the work again after a while.
     fn failed(&self, why: &str);
@@ -137,6 +140,11 @@ impl<P: Plan> Manager<P> {
     /// Returns the statistics of all running works, in the order of their keys.
     pub fn stats(&self) -> Vec<<P::Work as Work>::Stats> {
         self.keys.values().map(|running| running.work.stats()).collect()
+    }
+
+    /// Lets all running works look at what they wait for.
+    pub fn look(&self, now: Instant) {
+        self.keys.values().for_each(|running| running.work.look(now));
     }
 
     /// Ends all works. Returns their last statistics once they have ended.

@@ -3,7 +3,7 @@
 //! order.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
 use gdp::{LinkConfig, Node, NodeConfig};
@@ -26,7 +26,9 @@ use crate::manager::ChangeCounts;
 use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
 use crate::route_material::RouteMaterial;
+use crate::route_status::{RouteStatus, ticks};
 use crate::routes::{self, CallPlan, Calls, Planned, RoutePlan, Routes};
+use crate::silence;
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 
@@ -37,6 +39,9 @@ const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
 /// Time after which the log reports that no switch has answered.
 const SILENCE: Duration = Duration::from_secs(2);
+
+/// The log line if nothing says why.
+const OPEN: &str = "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way?";
 
 /// Runs until `stop` completes, or an error occurs that only a restart can fix. `watch` watches the
 /// configuration that was loaded.
@@ -94,10 +99,17 @@ async fn carry(
         catalogs: automatic::manager(node.clone()),
     };
     let mut explicit = Explicit::new(&loaded, &graphs)?;
+    let directory_status = directory::status(loaded.material.directory.as_ref());
     let (found_members, mut members) = watch::channel(Members::default());
-    let mut following = std::pin::pin!(directory::follow(&node, loaded.material.directory.take(), &found_members));
+    let mut following = std::pin::pin!(directory::follow(
+        &node,
+        loaded.material.directory.take(),
+        directory_status.as_ref(),
+        &found_members
+    ));
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), &[], None)?;
     running.want(&mut automatic, &explicit);
+    let mut looks = ticks();
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
     let ended = loop {
@@ -108,7 +120,13 @@ async fn carry(
             () = automatic.changed() => {
                 running.want(&mut automatic, &explicit);
             }
-            () = stats_writer.due() => stats_writer.show(&node, running.stats()),
+            _ = looks.tick() => {
+                running.look();
+                if let Some(status) = &directory_status {
+                    directory::look(status, &node);
+                }
+            }
+            () = stats_writer.due() => stats_writer.show(&node, directory_status.as_ref(), running.stats()),
             () = diagnostics::due(&mut diagnostics) => {
                 if let Some(diagnostics) = &mut diagnostics {
                     diagnostics.tell(&running.routes.stats(), &graphs, &types).await;
@@ -147,7 +165,7 @@ async fn carry(
 
     tracing::info!("leaving");
     let last = running.close().await;
-    stats_writer.show(&node, last);
+    stats_writer.show(&node, directory_status.as_ref(), last);
     drop((automatic, explicit, diagnostics));
     node.close().await;
     graph::leave(graphs).await;
@@ -183,6 +201,12 @@ impl Running {
             error = self.calls.failed() => error,
             error = self.catalogs.failed() => error,
         }
+    }
+
+    fn look(&self) {
+        let now = Instant::now();
+        self.routes.look(now);
+        self.calls.look(now);
     }
 
     fn stats(&self) -> RunningStats {
@@ -225,14 +249,15 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     let mut reported: Option<String> = None;
     loop {
         let mut connecting = std::pin::pin!(Node::connect(node.clone()));
+        let silence = async {
+            tokio::time::sleep(SILENCE).await;
+            silence::reason(config.links.iter().map(|link| &link.to)).await
+        };
         let connected = tokio::select! {
             connected = &mut connecting => connected,
-            () = tokio::time::sleep(SILENCE), if reported.is_none() => {
-                tracing::warn!(
-                    links = %addresses,
-                    "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way? \
-                     Trying on"
-                );
+            reason = silence, if reported.is_none() => {
+                let reason = reason.map_or_else(|| OPEN.to_owned(), |reason| format!("no answer yet: {reason}"));
+                tracing::warn!(links = %addresses, "{reason} Trying on");
                 connecting.await
             }
         };
@@ -315,7 +340,12 @@ impl StatsWriter {
         }
     }
 
-    fn show(&mut self, node: &Node, RunningStats { topics, calls, catalogs }: RunningStats) {
+    fn show(
+        &mut self,
+        node: &Node,
+        directory: Option<&RouteStatus>,
+        RunningStats { topics, calls, catalogs }: RunningStats,
+    ) {
         let Some(file) = &self.file else { return };
         let result = file.replace(&Stats {
             version: VERSION,
@@ -324,6 +354,7 @@ impl StatsWriter {
             topics,
             calls,
             catalogs,
+            directory: directory.map(directory::stats),
             links: node.links(),
             node: node.counters(),
         });

@@ -19,12 +19,19 @@ use crate::manager::Failure;
 use crate::peer_proxies::RoutePart;
 use crate::permission::Permission;
 use crate::renewal::Renewal;
+use crate::waiting::{WaitLog, Waiting};
 
 /// How often a route looks for a renewed certificate and does its other periodic work.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// The log lines of refused requests, of all routes: a RIB that fails refuses every name.
 static RETRIES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
+
+/// The log lines of what routes wait for, of all routes.
+static WAITS: LineLimit = LineLimit::new(20, Duration::from_secs(60));
+
+/// Begins the status of a route that another proxy of the graph carries.
+pub const STANDING_BY: &str = "standing by";
 
 /// Backoff between requests for a name that was refused.
 pub const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(30));
@@ -83,6 +90,7 @@ pub struct RouteStatus {
     title: String,
     name: Name,
     progress: Mutex<Progress>,
+    wait: Mutex<WaitLog>,
     /// True once the route has ended by itself.
     has_failed: AtomicBool,
 }
@@ -90,6 +98,8 @@ pub struct RouteStatus {
 struct Progress {
     kind: Option<String>,
     status: String,
+    /// Whether the last request for the name was refused.
+    is_refused: bool,
 }
 
 impl RouteStatus {
@@ -98,7 +108,8 @@ impl RouteStatus {
         Self {
             title,
             name,
-            progress: Mutex::new(Progress { kind, status: "starting".into() }),
+            progress: Mutex::new(Progress { kind, status: "starting".into(), is_refused: false }),
+            wait: Mutex::new(WaitLog::default()),
             has_failed: AtomicBool::new(false),
         }
     }
@@ -142,7 +153,43 @@ impl RouteStatus {
     /// Logs and shows that the route carries messages.
     pub fn is_up(&self) {
         tracing::info!(what = %self.title, name = %self.name, "carrying");
+        self.progress().is_refused = false;
         self.set_status("up");
+    }
+
+    /// Returns what the route waits for, as of the last [`Self::look`].
+    pub fn waiting_for(&self) -> Option<Waiting> {
+        self.wait.lock().current()
+    }
+
+    /// Records what the route waits for: the switch, permission, or else what `otherwise` returns.
+    /// Logs it once if it lasts; `detail` completes that line.
+    pub fn look(
+        &self,
+        now: Instant,
+        is_attached: bool,
+        otherwise: impl FnOnce() -> Option<Waiting>,
+        detail: impl FnOnce(Waiting) -> String,
+    ) {
+        let (is_refused, stands_by) = {
+            let progress = self.progress();
+            (progress.is_refused, progress.status.starts_with(STANDING_BY))
+        };
+        let waiting = match () {
+            () if stands_by => None,
+            () if !is_attached => Some(Waiting::Switch),
+            () if is_refused => Some(Waiting::Permission),
+            () => otherwise(),
+        };
+        let is_due = self.wait.lock().look(now, waiting);
+        let Some(waiting) = waiting.filter(|_| is_due) else { return };
+        let line = || format!("{} of {}{}", waiting.as_str(), self.title, detail(waiting));
+        match WAITS.take(now) {
+            Some(0) => tracing::info!(name = %self.name, "{}", line()),
+            Some(more) => tracing::info!(name = %self.name, "{}; {more} such lines were not logged", line()),
+            // The status of the route has it.
+            None => {}
+        }
     }
 
     /// Records that the route ended by itself. The manager starts it again after a while.
@@ -166,6 +213,7 @@ impl RouteStatus {
             // The status of the route has it.
             None => tracing::debug!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}"),
         }
+        self.progress().is_refused = true;
         self.set_status(&message);
         tokio::time::sleep(delay).await;
         if let Some(new) = right.newer() {

@@ -2,15 +2,20 @@
 
 pub use crate::carries::{Carries, Way};
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp::Node;
 use gdp_ros::types::Types;
 
 use crate::config::Side;
-use crate::graph::Graph;
+use crate::graph::{Graph, names_in};
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::route_material::RouteMaterial;
+use crate::waiting::Waiting;
 use crate::{call, route};
+
+/// Maximum number of names in the log line of a route that waits.
+const MAX_SEEN: usize = 8;
 
 pub type Routes = Manager<Arc<RoutePlan>>;
 pub type Calls = Manager<Arc<CallPlan>>;
@@ -72,6 +77,12 @@ impl<R: Carries> Work for RunningRoute<R> {
         self.route.stats()
     }
 
+    fn look(&self, now: Instant) {
+        let graph = &self.plan.graph;
+        let waits_for = || self.route.waits_for(graph);
+        self.route.route_status().look(now, self.node.switch().is_ok(), waits_for, |waiting| detail(waiting, graph));
+    }
+
     fn failed(&self, why: &str) {
         self.route.route_status().failed(why);
     }
@@ -80,5 +91,23 @@ impl<R: Carries> Work for RunningRoute<R> {
         let Planned { graph, material, .. } = &*self.plan;
         let ended = self.route.run(graph, &self.node, material.clone(), stop).await;
         ended.map_err(|error| self.route.route_status().ended(error))
+    }
+}
+
+/// Says where a route waits, and for a publisher or server what is there instead.
+fn detail(waiting: Waiting, graph: &Graph) -> String {
+    if !waiting.is_local() {
+        return String::new();
+    }
+    let graph_name = format!(" in {}", graph.describe());
+    let kind = match waiting {
+        Waiting::LocalPublisher => "topic is published",
+        Waiting::LocalServer => "service or action is served",
+        _ => return graph_name,
+    };
+    match names_in(graph, waiting == Waiting::LocalServer, MAX_SEEN) {
+        (names, _) if names.is_empty() => format!("{graph_name}; no {kind} there"),
+        (names, 0) => format!("{graph_name}; seen there: {}", names.join(", ")),
+        (names, more) => format!("{graph_name}; seen there: {}, and {more} more", names.join(", ")),
     }
 }

@@ -16,6 +16,7 @@ use crate::call::CallStats;
 use crate::config::Side;
 use crate::tally::{Tally, reasons};
 use crate::timing::{Percentiles, Timing};
+use crate::waiting::Waiting;
 
 reasons! {
     /// Reasons for which the proxy drops a message. [`FabricCounters`] counts the drops of the
@@ -137,8 +138,10 @@ pub struct RouteStats {
     /// The ROS type, as that graph writes it; null while it is unknown.
     #[serde(rename = "type")]
     pub kind: Option<String>,
-    /// `up`, or what the route waits for.
+    /// `up`, or the reason why not.
     pub status: String,
+    /// What is missing for messages to flow; null if nothing is.
+    pub waiting_for: Option<Waiting>,
     pub direction: Side,
     pub name: Name,
     #[serde(flatten)]
@@ -146,6 +149,15 @@ pub struct RouteStats {
     /// `gdp::PublisherCounters` for `out`, `gdp::SubscriptionCounters` for `in`, with the drops by
     /// reason. Null before the route is up for the first time.
     pub fabric: FabricStats,
+}
+
+/// The state of the domain's directory.
+#[derive(Serialize)]
+pub struct DirectoryStats {
+    pub name: Name,
+    /// `up`, or the reason why not.
+    pub status: String,
+    pub waiting_for: Option<Waiting>,
 }
 
 /// The values of a route's counters at one moment.
@@ -189,6 +201,8 @@ pub struct Stats {
     pub topics: Vec<RouteStats>,
     /// The catalogs, which carry automatically matched topics and calls.
     pub catalogs: Vec<CatalogStats>,
+    /// The directory of the domain; null unless this proxy follows one.
+    pub directory: Option<DirectoryStats>,
     /// Services and actions.
     pub calls: Vec<CallStats>,
     /// The links, in the order of the configuration.

@@ -9,7 +9,7 @@ use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
 use crate::peer_proxies::Candidate;
-use crate::route_status::RouteStatus;
+use crate::route_status::{RouteStatus, STANDING_BY};
 
 /// How often the proxy checks whether another proxy of the graph has gone silent, and whether the
 /// fabric is there.
@@ -39,7 +39,7 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
         // disturbed.
         let Some(ahead) = self.candidate.ahead(Instant::now()) else { return true };
         tracing::info!(what = self.route_status.title(), name = %self.route_status.name(), "standing by for {ahead}");
-        self.route_status.set_status(&format!("standing by for {ahead}"));
+        self.route_status.set_status(&format!("{STANDING_BY} for {ahead}"));
         tokio::select! {
             () = &mut self.stop => false,
             () = until(self.node, self.candidate, |ahead| ahead.is_none().then_some(())) => true,

@@ -2,6 +2,7 @@
 //! ends when told to. No switch and no root: what needs those is in the workspace's `tests`.
 
 use std::fs;
+use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -230,6 +231,24 @@ fn it_waits_for_a_switch_and_ends_at_sigterm() {
     }
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+}
+
+#[test]
+fn a_switch_that_is_not_there_is_said_with_the_reason() {
+    for (link, expected) in [
+        ("udp://127.0.0.1:9", "no answer yet: nothing listens on UDP 127.0.0.1:9"),
+        ("udp://no-such-host.invalid", "no-such-host.invalid"),
+    ] {
+        let files = Files::new();
+        let config = fs::read_to_string(files.path("robot.yaml")).unwrap().replace("udp://127.0.0.1:9", link);
+        fs::write(files.path("robot.yaml"), config).unwrap();
+        let mut child = files.command(&[]).spawn().unwrap();
+        let log = BufReader::new(child.stderr.take().unwrap());
+        let line = log.lines().map(Result::unwrap).find(|line| line.contains("no answer yet")).unwrap();
+        assert!(line.contains(expected) && line.contains("no answer yet: ") && line.contains("Trying on"), "{line}");
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
 }
 
 #[test]

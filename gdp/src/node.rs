@@ -78,7 +78,7 @@ use gdp_core::domain::Credentials;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::peer::MAX_LANES;
 use gdp_link::link::LinkError;
-use gdp_proto::control::{Record, RecordKey, Request};
+use gdp_proto::control::{Inspected, Inspection, Record, RecordKey, Request, Response};
 use gdp_util::unix_time::unix_seconds;
 
 pub use attachment::SETTLING;
@@ -241,6 +241,16 @@ impl Node {
             verdict.is_ok() && prefix.matches(&record.name)
         });
         Ok((records, truncated))
+    }
+
+    /// Asks the switch about this node's attachment, or about the path of a name to which the node
+    /// may send.
+    pub async fn inspect(&self, inspection: Inspection) -> Result<Inspected, NodeError> {
+        let attachment = self.0.state.send_path.links.attached().await?;
+        match attachment.link.request(&Request::Inspect(inspection)).await?.accepted()? {
+            Response::Inspected(inspected) => Ok(inspected),
+            _ => Err(NodeError::Protocol("to a question about the attachment")),
+        }
     }
 
     /// Returns this entity's name.

@@ -10,6 +10,7 @@
 //! receiver of an answer verifies them again with [`Record::verify`].
 
 mod extent;
+mod inspection;
 mod peers;
 mod record;
 mod refusal;
@@ -21,6 +22,10 @@ pub use crate::control::extent::Extent;
 pub use crate::control::record::{Credential, Record, RecordKey, Verified};
 pub use crate::control::refusal::{Refusal, RefusalCode};
 pub use crate::control::role::NameRole;
+pub use inspection::{
+    AttachmentStatus, Inspected, Inspection, MAX_STATED_LINKS, MAX_STATED_NAMES, NameLocation, OwnLink, OwnName,
+    ProbeEnd,
+};
 pub use peers::{Peers, PeersExtent, PeersPush};
 pub use tiers::{
     MAX_ANCESTORS, MAX_PATH, RemoteRecord, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
@@ -138,6 +143,9 @@ pub enum Request {
     /// Switch → its border switch → the border switch of a neighbouring domain: a request to trace
     /// a name onward there.
     TraceOn(TraceOn),
+    /// Endpoint → its switch: a question about its attachment, or about the path of a name to which
+    /// it may send. [`Response::Inspected`] answers it.
+    Inspect(Inspection),
 }
 
 /// Request of an entity to the RIB, through the switch of its attachment.
@@ -207,6 +215,8 @@ pub enum Response {
     TracedOn {
         domains: Vec<TracedDomain>,
     },
+    /// Answer of a switch to an attached endpoint.
+    Inspected(Inspected),
     Refused(Refusal),
 }
 

@@ -18,19 +18,33 @@ const INTERVAL: Duration = Duration::from_millis(500);
 /// Maximum length in bytes of a refusal's reason in a trace.
 const MAX_REASON: usize = 256;
 
-/// Rate limit for the trace requests of the other end of a link.
-#[derive(Debug, Default)]
+/// Rate limit for the requests of the other end of a link.
+#[derive(Debug)]
 pub struct Allowance {
+    burst: u32,
+    /// Time in which the allowance for one more request refills.
+    interval: Duration,
     /// Time at which the full burst is available again.
     due: Duration,
     refused: u64,
 }
 
+impl Default for Allowance {
+    /// The allowance for trace requests of another domain.
+    fn default() -> Self {
+        Self::new(BURST, INTERVAL)
+    }
+}
+
 impl Allowance {
+    pub fn new(burst: u32, interval: Duration) -> Self {
+        Self { burst, interval, due: Duration::ZERO, refused: 0 }
+    }
+
     /// Returns whether one more request may be made at `now`, and counts it as refused if not.
     pub fn take(&mut self, now: Duration) -> bool {
-        let due = self.due.max(now) + INTERVAL;
-        let may = due - now <= BURST * INTERVAL;
+        let due = self.due.max(now) + self.interval;
+        let may = due - now <= self.burst * self.interval;
         if may {
             self.due = due;
         } else {

@@ -12,10 +12,11 @@ use std::time::Duration;
 use gdp_core::card::{CardError, NameCard};
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
-use gdp_core::cert::{Issued, ReadGrant};
+use gdp_core::cert::{Grantee, Issued, Membership, ReadGrant, Reading};
 use gdp_core::identity::VerifyKey;
 use gdp_core::name::Metadata;
 use gdp_e2e::seal::Encoding;
+use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 /// Encoding number of a message that is a catalog.
@@ -70,6 +71,28 @@ impl Entry {
 
 /// A name's card with its read grants.
 pub type Listing = (NameCard, Vec<Issued<ReadGrant>>);
+
+/// Returns the first grant of a listed name by which `entity` may read or call it at `now` (Unix
+/// seconds). `member` proves the entity's role.
+pub fn right_of(
+    card: &NameCard,
+    grants: Vec<Issued<ReadGrant>>,
+    entity: Name,
+    member: Option<&Membership>,
+    now: u64,
+) -> Option<Reading> {
+    let proof = card.proof();
+    let shown = |grant: Issued<ReadGrant>| {
+        let member = match grant.cert.claims_unverified().ok()?.to {
+            Grantee::Entity(to) if to == entity => None,
+            Grantee::Entity(_) => return None,
+            Grantee::Role { .. } => Some(Box::new(member?.clone())),
+        };
+        let reading = Reading { grant, member };
+        reading.verify(&proof, entity, None, now).is_ok().then_some(reading)
+    };
+    grants.into_iter().find_map(shown)
+}
 
 /// The reason why a catalog is refused.
 #[derive(Debug, thiserror::Error)]

@@ -122,6 +122,11 @@ impl Graph {
         Some(changes)
     }
 
+    /// Returns the newest snapshot.
+    pub fn latest(&self) -> Arc<Snapshot> {
+        self.snapshots.borrow().clone()
+    }
+
     /// Returns the snapshot of the last [`Self::changes`].
     pub fn snapshot(&self) -> &Snapshot {
         &self.seen

@@ -21,7 +21,7 @@ fn describe(error: &Error) -> String {
         Error::SerdeUnknownVariant { variant, expected, .. } => ("value", variant, expected),
         other => {
             let text = other.to_string();
-            let is_tab = text.contains("tabs disallowed");
+            let is_tab = text.contains("tabs disallowed") || text.contains("found a tab");
             return if is_tab { format!("a tab; use spaces, because YAML allows no tabs here{at}") } else { text };
         }
     };

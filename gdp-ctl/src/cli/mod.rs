@@ -115,8 +115,8 @@ enum Command {
     ///
     /// The command verifies every certificate itself.
     Query(query::Options),
-    /// Show the links, the data plane and the counters of this machine's switch.
-    Status,
+    /// Show the links, the data plane and the counters of a switch.
+    Status(status::Options),
     /// Create and show name cards: the global names of topics, services and actions.
     #[command(subcommand)]
     Name(name::Command),
@@ -239,7 +239,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Advertise(options) => advertise::advertise(&options, context),
         Command::Withdraw(options) => advertise::withdraw(&options, context),
         Command::Query(options) => query::run(&options, context),
-        Command::Status => status::run(context),
+        Command::Status(options) => status::run(&options, context),
         Command::Name(command) => name::run(command, context),
         Command::Key(command) => key::run(command, context),
         Command::Grant(command) => grant::run(command, context),

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use gdp::{SubscribeOptions, Subscription};
+use gdp::{LinkConfig, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -18,7 +18,8 @@ use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
-use crate::ros::{fabric::Fabric, fabric::local_switch, keyring::Keyring, keyring::called};
+use crate::ros::keyring::{FindError, Keyring, called};
+use crate::ros::{fabric::Fabric, fabric::local_switch, joined, members};
 use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
 
@@ -27,26 +28,29 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct NodeOptions {
-    /// Folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem). Default:
-    /// ~/.config/gdp.
+    /// Folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem), or the folder
+    /// of a member that joined a domain. Default: ~/.config/gdp, or /etc/gdp if root has joined.
     #[arg(long, env = "GDP_KEYRING", value_name = "FOLDER")]
     keyring: Option<PathBuf>,
-    /// Private key file, instead of id.pem in the keyring.
+    /// Private key file, instead of id.pem in the keyring, or a member's proxy.pem.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
     /// Kind of the key's entity, if the key's file does not state it. Default: proxy.
     #[arg(long, value_enum)]
     kind: Option<EntityKind>,
     /// Switch to attach to: udp://HOST[:PORT] or eth://INTERFACE. Default: the switch of this
-    /// machine's daemon.
+    /// machine's daemon, or for a member the one it joined at.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
     switch: Option<LinkTarget>,
 }
 
 impl NodeOptions {
-    /// Whether the user names a switch, instead of this machine's daemon.
-    pub fn names_switch(&self) -> bool {
-        self.switch.is_some()
+    /// Whether to ask a switch elsewhere instead of this machine's daemon: the user names one, or
+    /// there is no daemon and this machine has joined a domain.
+    pub fn asks_elsewhere(&self, context: &Context) -> bool {
+        let has_daemon = || context.socket.is_some() || folders::admin_socket().is_ok_and(|socket| socket.exists());
+        let is_joined = || self.folder().is_ok_and(|folder| Keyring::is_joined(&folder));
+        self.switch.is_some() || (!has_daemon() && is_joined())
     }
 
     /// Opens the keyring, and warns about omitted files.
@@ -58,15 +62,22 @@ impl NodeOptions {
         Ok(keyring)
     }
 
+    /// The user's keyring, or without one the folder of `gdp-proxy join`.
     fn folder(&self) -> anyhow::Result<PathBuf> {
-        let folder = self.keyring.clone().or_else(folders::keyring);
+        let own = folders::keyring();
+        let has_key = own.as_ref().is_some_and(|folder| folder.join("id.pem").exists());
+        let joined = folders::configuration().filter(|folder| !has_key && Keyring::is_joined(folder));
+        let folder = self.keyring.clone().or(joined).or(own);
         folder.context("no place for a keyring: say where it is with --keyring, or set HOME")
     }
 
     fn identity(&self) -> anyhow::Result<Identity> {
         let file = match &self.key {
             Some(file) => file.clone(),
-            None => self.folder()?.join("id.pem"),
+            None => {
+                let folder = self.folder()?;
+                folder.join(if Keyring::is_joined(&folder) { "proxy.pem" } else { "id.pem" })
+            }
         };
         entity::load(&file, self.kind).map_err(|error| match error.is_not_found() {
             true => anyhow!(
@@ -78,6 +89,18 @@ impl NodeOptions {
         })
     }
 
+    /// Returns the link to attach by.
+    fn link(&self, context: &Context) -> anyhow::Result<LinkConfig> {
+        if let Some(switch) = &self.switch {
+            return Ok(switch.clone().into());
+        }
+        let folder = self.folder()?;
+        match Keyring::is_joined(&folder) {
+            true => joined::link(&folder),
+            false => Ok(local_switch(&mut context.client()?)?.into()),
+        }
+    }
+
     /// Attaches, runs `what`, and detaches.
     pub fn with_fabric<T>(
         &self,
@@ -85,18 +108,46 @@ impl NodeOptions {
         context: &Context,
         what: impl AsyncFnOnce(&Fabric) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let identity = self.identity()?;
-        let switch = match &self.switch {
-            Some(switch) => switch.clone(),
-            None => local_switch(&mut context.client()?)?,
-        };
+        self.attached(keyring, context, async |fabric| what(fabric).await)
+    }
+
+    /// Finds the card of a topic or service (`kind`): in the keyring, or for a member of a domain
+    /// also among what others share with it. Runs `what` with it, attached.
+    pub fn with_card<T>(
+        &self,
+        name: &str,
+        kind: &str,
+        context: &Context,
+        what: impl AsyncFnOnce(&Fabric, &NameCard) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let keyring = self.keyring()?;
+        let found = keyring.find(name, kind);
+        if !matches!(found, Err(FindError::Unknown { .. })) || !keyring.has_directory() {
+            let card = found?;
+            return self.with_fabric(keyring, context, async |fabric| what(fabric, &card).await);
+        }
+        self.attached(keyring, context, async |fabric| {
+            let looking = format!("looking for {name} in the directory");
+            let shared = while_waiting(&looking, members::find(fabric, name, kind)).await?;
+            fabric.keyring.add(&shared.card, shared.grant);
+            what(fabric, &shared.card).await
+        })
+    }
+
+    fn attached<T>(
+        &self,
+        keyring: Keyring,
+        context: &Context,
+        what: impl AsyncFnOnce(&mut Fabric) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let (identity, link) = (self.identity()?, self.link(context)?);
         // A worker thread keeps the link alive while the main thread is blocked by a stopped
         // terminal.
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         runtime.block_on(async {
-            let attaching = format!("attaching at {switch}");
-            let fabric = while_waiting(&attaching, Fabric::join(keyring, identity, switch)).await?;
-            let done = what(&fabric).await;
+            let attaching = format!("attaching at {}", link.target);
+            let mut fabric = while_waiting(&attaching, Fabric::join(keyring, identity, link)).await?;
+            let done = what(&mut fabric).await;
             fabric.node.close().await;
             done
         })

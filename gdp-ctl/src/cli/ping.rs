@@ -8,11 +8,10 @@ use gdp_wire::header::INITIAL_HOP_LIMIT;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::name_location::{self, millis};
-use super::output::AlreadyPrinted;
+use super::name_location::{Paths, millis, with_paths};
+use super::output::{AlreadyPrinted, short};
 use crate::cli::context::Context;
-use crate::client::{Client, ClientError};
-use gdp_proto::admin::Request;
+use crate::cli::node::NodeOptions;
 use gdp_proto::admin::trace::{EchoReply, LocateReply, PathEnd, ProbeReply};
 
 /// Test whether a name answers, once a second.
@@ -22,6 +21,10 @@ use gdp_proto::admin::trace::{EchoReply, LocateReply, PathEnd, ProbeReply};
 /// it runs there, without a daemon. For any other name, the command sends probes in the data plane
 /// to each switch that delivers the name. The daemon of that switch answers, through the daemons on
 /// the path. For a topic, each of its switches answers; its readers receive no request.
+///
+/// A machine without a daemon needs --switch, and a key and rights in its keyring. A publisher
+/// pings its topic, a reader the topic's publishers, and everybody the switch itself. Times include
+/// the link to the switch.
 ///
 /// The command ends after COUNT requests, or at ^C. The exit status is 1 if nothing has answered.
 #[derive(Debug, Args)]
@@ -35,6 +38,8 @@ pub struct Options {
     /// Interval between two requests, in seconds (0.02 to 3600).
     #[arg(short, long, default_value_t = 1.0, value_parser = parse_interval)]
     interval: f64,
+    #[command(flatten)]
+    node: NodeOptions,
 }
 
 fn parse_interval(text: &str) -> Result<f64, String> {
@@ -67,29 +72,41 @@ pub enum PingOutput {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let mut client = context.client()?;
-    let location = name_location::find(&options.what, &mut client)?;
-    context.output.tell(|| format!("PING {:#} {}", location.name, how(&location)))?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let mut tally = Tally::default();
+    let ping = async |paths: &mut Paths<'_>| ping(options, context, paths).await;
+    let (names, has_answer) = with_paths(&options.what, &options.node, context, ping)?;
+    match has_answer {
+        true => Ok(()),
+        false => Err(AlreadyPrinted(format!("nothing answered for {}", short(&names))).into()),
+    }
+}
+
+/// Sends the requests. Returns the names, and whether anything has answered.
+async fn ping(options: &Options, context: &Context, paths: &mut Paths<'_>) -> anyhow::Result<(Vec<Name>, bool)> {
+    let locations = paths.locations.clone();
+    for location in &locations {
+        context.output.tell(|| format!("PING {:#} {}", location.name, how(location)))?;
+    }
+    let mut tallies: Vec<Tally> = locations.iter().map(|_| Tally::default()).collect();
     for seq in 1..=options.count.unwrap_or(u64::MAX) {
         let begun = Instant::now();
-        for from in targets(&location) {
-            let (rtt_us, end) = ask(&location, from, &mut client)?;
-            tally.add(rtt_us);
-            let line = describe(seq, from, rtt_us, end.as_ref());
-            context.output.print(&PingOutput::Answer { seq, from: *from, rtt_us, end }, || [line])?;
+        for (location, tally) in locations.iter().zip(&mut tallies) {
+            for from in targets(location) {
+                let (rtt_us, end) = ask(location, *from, paths).await?;
+                tally.add(rtt_us);
+                let line = describe(seq, from, rtt_us, end.as_ref());
+                context.output.print(&PingOutput::Answer { seq, from: *from, rtt_us, end }, || [line])?;
+            }
         }
         let rest = Duration::from_secs_f64(options.interval).saturating_sub(begun.elapsed());
-        if Some(seq) == options.count || runtime.block_on(interrupted(rest))? {
+        if Some(seq) == options.count || interrupted(rest).await? {
             break;
         }
     }
-    context.output.print(&tally.statistics(location.name), || tally.lines(&location.name))?;
-    match tally.times.is_empty() {
-        true => Err(AlreadyPrinted(format!("nothing answered for {:#}", location.name)).into()),
-        false => Ok(()),
+    for (location, tally) in locations.iter().zip(&tallies) {
+        context.output.print(&tally.statistics(location.name), || tally.lines(&location.name))?;
     }
+    let names = locations.iter().map(|location| location.name).collect();
+    Ok((names, tallies.iter().any(|tally| !tally.times.is_empty())))
 }
 
 /// Waits; returns whether ^C arrived before the time was over.
@@ -115,20 +132,16 @@ fn targets(location: &LocateReply) -> &[Name] {
 
 /// Returns the round-trip time to the target, and the target's local delivery of the name; `None`
 /// without an answer.
-fn ask(
+async fn ask(
     location: &LocateReply,
-    target: &Name,
-    client: &mut Client,
-) -> Result<(Option<u64>, Option<PathEnd>), ClientError> {
+    target: Name,
+    paths: &mut Paths<'_>,
+) -> anyhow::Result<(Option<u64>, Option<PathEnd>)> {
     if location.near {
-        let EchoReply { rtt_us } = client.ask(&Request::Echo { peer: location.name })?;
+        let EchoReply { rtt_us } = paths.echo(location.name)?;
         return Ok((rtt_us, None));
     }
-    if *target == location.own {
-        return Ok((Some(0), Some(location.end.clone())));
-    }
-    let probe = Request::Probe { name: location.name, switch: *target, hops: INITIAL_HOP_LIMIT };
-    let ProbeReply { rtt_us, end, .. } = client.ask(&probe)?;
+    let ProbeReply { rtt_us, end, .. } = paths.probe(location, target, INITIAL_HOP_LIMIT).await?;
     // A switch before the end of the path reports no delivery.
     Ok((rtt_us.filter(|_| end.is_some()), end))
 }

@@ -60,7 +60,7 @@ impl VerifiedRecord {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let prefix = prefix(&options.what)?;
-    let (records, truncated) = match options.node.names_switch() {
+    let (records, truncated) = match options.node.asks_elsewhere(context) {
         true => {
             let by_node = async |fabric: &Fabric| fabric.records(&prefix).await;
             options.node.with_fabric(options.node.keyring()?, context, by_node)?

@@ -3,7 +3,6 @@
 use gdp_proto::admin::Versioned;
 use gdp_proto::admin::event::TimedEvent;
 use gdp_proto::admin::links::{LinksReply, PeersReply};
-use gdp_proto::admin::status::StatusReply;
 use gdp_proto::admin::topology::TopologyReply;
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -12,7 +11,7 @@ use serde_json::{Map, Value};
 use super::credential_file::{CertificateOutput, IssuedOutput};
 use super::output::FailureOutput;
 use super::revocation::RevokeOutput;
-use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query, service, topic, trace, xdp};
+use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query, service, status, topic, trace, xdp};
 
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
@@ -29,7 +28,7 @@ const OUTPUTS: [(&str, Of); 53] = [
     ("admin restore", of::<home::BackupOutput>),
     ("admin rotate", of::<home::RotationOutput>),
     ("admin log", of::<home::LogOutput>),
-    ("status", of::<StatusReply>),
+    ("status", of::<status::StatusOutput>),
     ("link list", of::<LinksReply>),
     ("peer list", of::<PeersReply>),
     ("topology", of::<TopologyReply>),

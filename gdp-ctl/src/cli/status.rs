@@ -1,14 +1,82 @@
-//! `gdp-ctl status`: the daemon's report of its own state.
+//! `gdp-ctl status`: the daemon's report of its own state, or that of a switch to which the user's
+//! key attaches.
+
+use anyhow::bail;
+use clap::Args;
+use gdp_proto::admin::Request;
+use gdp_proto::admin::links::Counts;
+use gdp_proto::admin::status::{RecentRefusal, StatusReply, TierStatus, Warning};
+use gdp_proto::control::{AttachmentStatus, Inspected, Inspection};
+use gdp_util::date::relative;
+use gdp_util::unix_time::unix_seconds;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::output::{short, table};
 use crate::cli::context::Context;
-use gdp_proto::admin::Request;
-use gdp_proto::admin::links::Counts;
-use gdp_proto::admin::status::{StatusReply, TierStatus, Warning};
+use crate::cli::node::NodeOptions;
+use crate::ros::fabric::Fabric;
 
-pub fn run(context: &Context) -> anyhow::Result<()> {
-    let status: Box<StatusReply> = context.client()?.ask(&Request::Status)?;
-    context.output.print(&status, || describe(&status))
+/// Show the state of the switch.
+///
+/// Without --switch, the daemon of this machine reports everything. With --switch, a machine
+/// without a daemon asks the switch to which its key attaches. That switch shows itself, and of the
+/// links and names only those of this key.
+#[derive(Debug, Args)]
+pub struct Options {
+    #[command(flatten)]
+    node: NodeOptions,
+}
+
+/// Output of `gdp-ctl status`: of this machine's daemon, or of a switch elsewhere.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum StatusOutput {
+    Daemon(Box<StatusReply>),
+    Attachment(Box<AttachmentStatus>),
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let output = match options.node.asks_elsewhere(context) {
+        true => {
+            let by_node = async |fabric: &Fabric| match fabric.node.inspect(Inspection::Status).await? {
+                Inspected::Status(status) => Ok(status),
+                _ => bail!("the switch answered another question"),
+            };
+            StatusOutput::Attachment(options.node.with_fabric(options.node.keyring()?, context, by_node)?)
+        }
+        false => StatusOutput::Daemon(context.client()?.ask(&Request::Status)?),
+    };
+    context.output.print(&output, || match &output {
+        StatusOutput::Daemon(status) => describe(status),
+        StatusOutput::Attachment(status) => describe_attachment(status),
+    })
+}
+
+fn describe_attachment(status: &AttachmentStatus) -> Vec<String> {
+    let mut lines = vec![
+        format!("switch      {}", status.switch),
+        format!("release     {}", status.release),
+        format!("domain      {}", status.domain.map_or_else(|| "none".into(), |domain| domain.to_string())),
+        format!("data plane  {}", status.data_plane),
+        match &status.no_rib {
+            None => "RIB         reached".into(),
+            Some(reason) => format!("RIB         not reached: {}", reason),
+        },
+    ];
+    let now = unix_seconds();
+    let links = status.links.iter().map(|link| {
+        let until = link.admitted_until.map_or_else(|| "-".into(), |until| relative(until, now));
+        let (lane, address) = (link.lane.to_string(), link.address.clone());
+        [lane, address, link.mtu.to_string(), format!("{} µs", link.rtt_us), until]
+    });
+    lines.extend(section(["link", "from", "MTU", "RTT", "until"], &links.collect::<Vec<_>>()));
+    let yes = |is: bool| if is { "yes" } else { "" }.to_owned();
+    let names = status.names.iter();
+    let names = names.map(|of| [format!("{:#}", of.name), yes(of.sends), yes(of.receives), yes(of.has_receivers)]);
+    lines.extend(section(["name", "sends", "receives", "has receivers"], &names.collect::<Vec<_>>()));
+    lines.extend(status.truncated.then(|| "…".into()));
+    lines
 }
 
 fn describe(status: &StatusReply) -> Vec<String> {
@@ -45,6 +113,13 @@ fn describe(status: &StatusReply) -> Vec<String> {
     for (peer, errors) in refused.chain(in_grace.iter().map(|link| (&link.peer, &link.errors_received))) {
         let line = |(code, count)| format!("{peer:#} refused frames of this switch: {count} × {code}");
         lines.extend(errors.iter().map(line));
+    }
+    if !status.refused.is_empty() {
+        let row = |it: &RecentRefusal| {
+            [format!("{:#}", it.peer), it.what.to_string(), format!("× {}", it.count), it.reason.clone()]
+        };
+        let rows: Vec<_> = status.refused.iter().map(row).collect();
+        lines.extend(section(["refused in the last minute", "what", "count", "reason"], &rows));
     }
     let handshakes = &status.handshakes;
     if handshakes.challenged + handshakes.refused + handshakes.displaced + handshakes.failed > 0 {

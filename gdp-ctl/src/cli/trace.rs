@@ -7,12 +7,11 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::name_location::{self, millis};
+use super::name_location::{Paths, millis, with_paths};
 use super::output::AlreadyPrinted;
 use crate::cli::context::Context;
-use crate::client::{Client, ClientError};
-use gdp_proto::admin::Request;
-use gdp_proto::admin::trace::{BeyondReply, DomainHop, InsideHop, LocateReply, PathEnd, ProbeReply};
+use crate::cli::node::NodeOptions;
+use gdp_proto::admin::trace::{DomainHop, InsideHop, LocateReply, PathEnd, ProbeReply};
 use gdp_proto::admin::words::Outcome;
 
 /// Maximum number of probes for one hop.
@@ -33,6 +32,10 @@ const SILENT: usize = 4;
 /// between them. The other domain reports how the path continues, in what time, and into which
 /// domains. It reports its switches only with `trace: open` at its border. A domain answers for
 /// names that it accepts from this one.
+///
+/// A machine without a daemon needs --switch, and a key and rights in its keyring. The first switch
+/// is then the one to which the key attaches, and times include the link to it. A publisher traces
+/// its topic, a reader the topic's publishers. The trace ends at the border of the domain.
 #[derive(Debug, Args)]
 pub struct Options {
     /// Name, first digits of a name, or name card.
@@ -41,6 +44,8 @@ pub struct Options {
     /// Maximum number of switches of this domain to probe.
     #[arg(long, default_value_t = 64, value_name = "HOPS", value_parser = clap::value_parser!(u8).range(1..=64))]
     max_hops: u8,
+    #[command(flatten)]
+    node: NodeOptions,
 }
 
 /// Output of `gdp-ctl trace`.
@@ -64,7 +69,7 @@ struct TracePath {
 /// A switch of this domain on the path.
 #[derive(Debug, Serialize, JsonSchema)]
 struct TraceHop {
-    /// Number of switches from the daemon's switch.
+    /// Number of switches from the first one, which is the daemon's or that of `--switch`.
     hop: u8,
     /// None without an answer.
     switch: Option<Name>,
@@ -74,66 +79,66 @@ struct TraceHop {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let mut client = context.client()?;
-    let location = name_location::find(&options.what, &mut client)?;
-    let mut paths = Vec::new();
-    if location.egress.is_empty() {
-        // The name is an endpoint with a link here, but nobody here may send to it.
-        let (egress, hops) = (location.own, vec![own(&location)]);
-        paths.push(TracePath { egress, reached: true, hops, domains: Vec::new() });
+    let trace = async |paths: &mut Paths<'_>| trace(options.max_hops, paths).await;
+    for output in with_paths(&options.what, &options.node, context, trace)? {
+        context.output.print(&output, || describe(&output))?;
+        if !output.paths.iter().all(|path| path.reached) {
+            let name = output.name;
+            let reason = format!("the probes did not get to every switch where {name:#} is, or a domain does not tell");
+            return Err(AlreadyPrinted(reason).into());
+        }
     }
-    for egress in &location.egress {
-        paths.push(follow(&location, *egress, options.max_hops, &mut client)?);
+    Ok(())
+}
+
+/// Traces the paths to each located name.
+async fn trace(max_hops: u8, paths: &mut Paths<'_>) -> anyhow::Result<Vec<TraceOutput>> {
+    let mut outputs = Vec::new();
+    for location in paths.locations.clone() {
+        let mut found = Vec::new();
+        if location.egress.is_empty() {
+            // The name is an endpoint with a link here, but nobody here may send to it.
+            let (egress, hops) = (location.own, vec![own(&location, paths)]);
+            found.push(TracePath { egress, reached: true, hops, domains: Vec::new() });
+        }
+        for egress in &location.egress {
+            found.push(follow(&location, *egress, max_hops, paths).await?);
+        }
+        outputs.push(TraceOutput { name: location.name, paths: found });
     }
-    let output = TraceOutput { name: location.name, paths };
-    context.output.print(&output, || describe(&output))?;
-    if output.paths.iter().all(|path| path.reached) {
-        return Ok(());
-    }
-    let name = output.name;
-    Err(AlreadyPrinted(format!("the probes did not get to every switch where {name:#} is, or a domain does not tell"))
-        .into())
+    Ok(outputs)
 }
 
 /// Traces the path to one egress switch.
-fn follow(location: &LocateReply, egress: Name, max_hops: u8, client: &mut Client) -> Result<TracePath, ClientError> {
-    let mut hops = vec![own(location)];
+async fn follow(
+    location: &LocateReply,
+    egress: Name,
+    max_hops: u8,
+    paths: &mut Paths<'_>,
+) -> anyhow::Result<TracePath> {
+    let mut hops = vec![own(location, paths)];
     let (mut reached, mut silent) = (egress == location.own, 0);
     for hop in 1..=max_hops {
         if reached || silent == SILENT {
             break;
         }
-        let probe = Request::Probe { name: location.name, switch: egress, hops: hop };
-        let ProbeReply { switch, rtt_us, end } = ask(&probe, client)?;
+        let ProbeReply { switch, rtt_us, end } = ask(location, egress, hop, paths).await?;
         reached = end.is_some();
         silent = if switch.is_none() { silent + 1 } else { 0 };
         hops.push(TraceHop { hop, switch, rtt_us, end });
     }
-    let domains = beyond(location.name, egress, hops.last(), client)?;
+    let domains = match hops.last().and_then(|last| last.end.as_ref()) {
+        Some(end) => paths.beyond(location.name, egress, end)?,
+        None => Vec::new(),
+    };
     reached &= domains.iter().all(|domain| domain.inside.as_ref().is_some_and(|inside| inside.rtt_us.is_some()));
     Ok(TracePath { egress, reached, hops, domains })
 }
 
-/// Returns the domains to which the name leaves at the last switch of a path, and those behind
-/// them.
-fn beyond(
-    name: Name,
-    border: Name,
-    last: Option<&TraceHop>,
-    client: &mut Client,
-) -> Result<Vec<DomainHop>, ClientError> {
-    let mut domains = Vec::new();
-    for beyond in last.and_then(|last| last.end.as_ref()).into_iter().flat_map(|end| &end.beyond) {
-        let request = Request::Beyond { name, border, domain: beyond.domain, peer: beyond.switch };
-        domains.extend(client.ask::<BeyondReply>(&request)?.domains);
-    }
-    Ok(domains)
-}
-
-fn ask(probe: &Request, client: &mut Client) -> Result<ProbeReply, ClientError> {
+async fn ask(location: &LocateReply, egress: Name, hops: u8, paths: &mut Paths<'_>) -> anyhow::Result<ProbeReply> {
     let mut answer = ProbeReply::default();
     for _ in 0..TRIES {
-        answer = client.ask(probe)?;
+        answer = paths.probe(location, egress, hops).await?;
         if answer.switch.is_some() {
             break;
         }
@@ -141,10 +146,11 @@ fn ask(probe: &Request, client: &mut Client) -> Result<ProbeReply, ClientError> 
     Ok(answer)
 }
 
-/// Returns the daemon's switch as the first hop of every path.
-fn own(location: &LocateReply) -> TraceHop {
+/// Returns the first switch as the first hop of every path.
+fn own(location: &LocateReply, paths: &Paths<'_>) -> TraceHop {
     let is_end = location.egress.is_empty() || location.egress.contains(&location.own);
-    TraceHop { hop: 0, switch: Some(location.own), rtt_us: Some(0), end: is_end.then(|| location.end.clone()) }
+    let rtt_us = Some(paths.first_us);
+    TraceHop { hop: 0, switch: Some(location.own), rtt_us, end: is_end.then(|| location.end.clone()) }
 }
 
 fn describe(TraceOutput { name, paths }: &TraceOutput) -> Vec<String> {
@@ -154,7 +160,7 @@ fn describe(TraceOutput { name, paths }: &TraceOutput) -> Vec<String> {
             lines.push(format!("toward switch {:#}", path.egress));
         }
         for TraceHop { hop, switch, rtt_us, end } in &path.hops {
-            let time = if *hop == 0 { "this switch".into() } else { time(*rtt_us, "no answer") };
+            let time = if *hop == 0 && *rtt_us == Some(0) { "this switch".into() } else { time(*rtt_us, "no answer") };
             lines.push(format!("{hop:2}  {:11}  {time}{}", who(*switch), describe_end(end.as_ref())));
         }
         if path.hops.last().is_none_or(|last| last.end.is_none()) {

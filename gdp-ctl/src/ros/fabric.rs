@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use anyhow::{Context as _, bail};
-use gdp::{Node, NodeConfig};
+use gdp::{LinkConfig, Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -36,11 +36,11 @@ pub struct Entities {
 
 impl Fabric {
     /// Attaches to a switch.
-    pub async fn join(keyring: Keyring, identity: Identity, switch: LinkTarget) -> anyhow::Result<Self> {
+    pub async fn join(keyring: Keyring, identity: Identity, link: LinkConfig) -> anyhow::Result<Self> {
         let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
-        let place = switch.to_string();
-        let config = NodeConfig { credentials, ..NodeConfig::new(identity, switch) };
-        let node = Node::connect(config).await.with_context(|| format!("cannot attach at {place}"))?;
+        let target = link.target.to_string();
+        let config = NodeConfig { credentials, links: vec![link.clone()], ..NodeConfig::new(identity, link.target) };
+        let node = Node::connect(config).await.with_context(|| format!("cannot attach at {target}"))?;
         Ok(Self { node, keyring })
     }
 

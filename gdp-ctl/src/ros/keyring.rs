@@ -72,6 +72,13 @@ fn listed(names: &[Name]) -> String {
     names.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
+/// The right to read the directory of a domain.
+pub struct DirectoryRight {
+    pub card: NameCard,
+    pub domain: Name,
+    pub grant: Reading,
+}
+
 /// Contents of the folder.
 #[derive(Debug, Default)]
 pub struct Keyring {
@@ -159,6 +166,39 @@ impl Keyring {
             _ => return Err("no certificate to publish or to read; `gdp-ctl cert show` tells what it is".into()),
         }
         Ok(())
+    }
+
+    /// Returns the card and grant of the domain's directory, and the domain, if the folder is that
+    /// of a member.
+    pub fn directory(&self, entity: Name, now: u64) -> Option<Result<DirectoryRight, RightError>> {
+        let (card, domain) = self.directory_card()?;
+        let right = self.grant(&card, entity, now);
+        Some(right.map(|grant| DirectoryRight { card, domain, grant }))
+    }
+
+    /// Returns whether the folder has a grant to read the domain's directory.
+    pub fn has_directory(&self) -> bool {
+        self.directory_card().is_some()
+    }
+
+    /// Returns the directory's card and the domain, if the folder has a grant to read it.
+    fn directory_card(&self) -> Option<(NameCard, Name)> {
+        let domain = NameCard::load(&self.credentials.as_ref()?.card).ok()?.name();
+        let card = self.cards.iter().find(|card| card.get("kind") == Some("directory"))?;
+        self.grants.iter().any(|(_, of, _)| *of == card.name()).then(|| (card.clone(), domain))
+    }
+
+    /// Adds a name with a right to read it, for the time of the command.
+    pub fn add(&mut self, card: &NameCard, grant: Reading) {
+        self.grants.push((self.folder.clone(), card.name(), grant));
+        if !self.cards.contains(card) {
+            self.cards.push(card.clone());
+        }
+    }
+
+    /// Returns whether the folder is that of a member that joined the domain, and has no other key.
+    pub fn is_joined(folder: &Path) -> bool {
+        !folder.join("id.pem").exists() && folder.join("proxy.pem").is_file() && folder.join("membership").is_file()
     }
 
     /// Returns the cards of this kind: `topic`, `service` or `action`.

@@ -46,6 +46,11 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let _stranger = stranger.alone().dials(&hub).start().await;
     let why = format!("{:#} shows no membership", stranger.name);
     wait("both to say that a stranger is none", async || ends(&stranger, &why)).await;
+    let status = hub_running.status().await;
+    let refused = status["refused"].as_array().unwrap();
+    let refused = refused.iter().find(|it| it["peer"] == stranger.name.to_string()).expect("the refused stranger");
+    assert!(refused["what"] == "link" && refused["count"].as_u64() > Some(0), "{refused}");
+    assert!(refused["reason"].as_str().unwrap().contains("shows no membership"), "{refused}");
 
     let expired = Place::new("expired");
     let _expired = expired.member(&home, "switch", -5).dials(&hub).start().await;

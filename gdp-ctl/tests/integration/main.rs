@@ -1,6 +1,7 @@
 //! Tests of the library and the program from the outside. They form a single program, because each
 //! separate program would contain the whole daemon.
 
+mod attached;
 mod cli;
 #[cfg(feature = "etcd")]
 mod cluster;

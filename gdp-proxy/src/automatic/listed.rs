@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{Grantee, Issued, Membership, ReadGrant, Reading};
+use gdp_core::cert::{Issued, Membership, ReadGrant, Reading};
 use gdp_core::identity::VerifyKey;
 use gdp_e2e::seal::Message;
-use gdp_ros::catalog::{Catalog, CatalogError, LEASE};
+use gdp_ros::catalog::{Catalog, CatalogError, LEASE, right_of};
 use gdp_wire::Name;
 
 use crate::config::{ImportConfig, Thing};
@@ -123,17 +123,7 @@ impl Catalogs {
         if !thing.fits(kind.as_ref()) {
             return None;
         }
-        let proof = card.proof();
-        let shown = |grant: Issued<ReadGrant>| {
-            let member = match grant.cert.claims_unverified().ok()?.to {
-                Grantee::Entity(entity) if entity == self.entity => None,
-                Grantee::Entity(_) => return None,
-                Grantee::Role { .. } => Some(Box::new(member?.clone())),
-            };
-            let reading = Reading { grant, member };
-            reading.verify(&proof, self.entity, None, now_unix).is_ok().then_some(reading)
-        };
-        let right = grants.into_iter().find_map(shown)?;
+        let right = right_of(&card, grants, self.entity, member, now_unix)?;
         Some(Listed { card, thing, name, kind, right })
     }
 }

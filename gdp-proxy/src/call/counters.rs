@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::config::{Side, What};
 use crate::tally::{Tally, reasons};
+use crate::waiting::Waiting;
 
 reasons! {
     /// Reasons for which a call has no answer.
@@ -122,8 +123,10 @@ pub struct CallStats {
     /// The ROS type, as that graph writes it; null while it is unknown.
     #[serde(rename = "type")]
     pub kind: Option<String>,
-    /// `up`, or what the route waits for.
+    /// `up`, or the reason why not.
     pub status: String,
+    /// What is missing for messages to flow; null if nothing is.
+    pub waiting_for: Option<Waiting>,
     pub direction: Side,
     pub name: Name,
     #[serde(flatten)]

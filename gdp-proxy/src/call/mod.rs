@@ -35,6 +35,7 @@ use crate::route_material::RouteMaterial;
 use crate::route_status::{EitherRight, RouteError, RouteStatus};
 use crate::tally::Reason as _;
 use crate::turns::{Turns, unless};
+use crate::waiting::Waiting;
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
 
@@ -91,10 +92,16 @@ impl Carries for Route {
             graph: self.graph.clone(),
             kind: self.route_status.kind(),
             status: self.route_status.status(),
+            waiting_for: self.route_status.waiting_for(),
             direction: self.config.side,
             name: self.route_status.name(),
             counted: self.counters.read(),
         }
+    }
+
+    fn waits_for(&self, _: &Graph) -> Option<Waiting> {
+        let status = self.route_status.status();
+        [Waiting::LocalServer, Waiting::RemoteServer].into_iter().find(|waiting| waiting.as_str() == status)
     }
 
     async fn run(

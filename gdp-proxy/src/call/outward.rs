@@ -26,6 +26,7 @@ use crate::peer_proxies::Candidate;
 use crate::ros2::TypeName;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
+use crate::waiting::Waiting;
 
 /// Backoff before a server whose type does not fit is asked again. A new one may not have announced
 /// all of it yet.
@@ -69,7 +70,7 @@ impl Route {
                 let peer = match servers.until_there().now_or_never() {
                     Some(peer) => peer?,
                     None => {
-                        self.route_status.set_status("waiting for a local server");
+                        self.route_status.set_status(Waiting::LocalServer.as_str());
                         servers.until_there().await?
                     }
                 };

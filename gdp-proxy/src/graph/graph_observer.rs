@@ -58,6 +58,50 @@ impl GraphObserver {
     }
 }
 
+/// Whether nodes other than proxies use a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TopicUse {
+    pub is_published: bool,
+    pub is_subscribed: bool,
+}
+
+impl TopicUse {
+    pub fn of(graph: &Graph, topic: &TopicName) -> Self {
+        match GraphObserver::of(graph) {
+            GraphObserver::Ros1(graph) => {
+                let (latest, is_node) = (graph.latest(), |node: &String| !is_proxy(node));
+                let topic = latest.topics.get(topic.as_str());
+                Self {
+                    is_published: topic.is_some_and(|topic| topic.publishers.iter().any(is_node)),
+                    is_subscribed: topic.is_some_and(|topic| topic.subscribers.iter().any(is_node)),
+                }
+            }
+            GraphObserver::Ros2(graph) => {
+                let graph = graph.borrow();
+                let topic = graph.topics.get(topic);
+                Self {
+                    is_published: topic.is_some_and(|topic| !topic.publishers.is_empty()),
+                    is_subscribed: topic.is_some_and(|topic| !topic.subscribers.is_empty()),
+                }
+            }
+        }
+    }
+}
+
+/// Returns the names of at most `most` topics that others publish, or of services and actions that
+/// they serve, and how many more there are.
+pub fn names_in(graph: &Graph, are_calls: bool, most: usize) -> (Vec<String>, usize) {
+    let found = match GraphObserver::of(graph) {
+        GraphObserver::Ros1(graph) => of_ros1(&graph.latest()),
+        GraphObserver::Ros2(graph) => of_ros2(&graph.borrow()),
+    };
+    let names = found.keys().filter(|(thing, _)| matches!(thing, Thing::Call(_)) == are_calls);
+    let mut names: Vec<String> = names.map(|(_, name)| name.to_string()).collect();
+    let more = names.len().saturating_sub(most);
+    names.truncate(most);
+    (names, more)
+}
+
 fn of_ros1(there: &gdp_ros1::Snapshot) -> Found {
     let topics = there.topics.iter().filter_map(|(name, topic)| {
         topic.publishers.iter().find(|node| !is_proxy(node))?;

@@ -25,7 +25,7 @@ use crate::ros2::{Domain, Qos, TopicName, TypeName};
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::Types;
 
-pub use graph_observer::{Found, GraphObserver, Offered};
+pub use graph_observer::{Found, GraphObserver, Offered, TopicUse, names_in};
 pub use ros2::ImmediateWriter;
 
 /// One ROS graph, until it is [left](Self::leave).
@@ -94,6 +94,15 @@ impl Graph {
             GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?.into())),
             GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join_as_proxy(config.domain_id.get(), node)?.into())),
             GraphConfig::Zenoh(config) => Ok(Self::Zenoh(zenoh::ZenohGraph::join(config, node)?.into())),
+        }
+    }
+
+    /// Describes the graph for people, such as `domain 0`.
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Ros1(_) => "the graph of the ROS master".into(),
+            Self::Ros2(domain) => format!("domain {}", domain.domain_id()),
+            Self::Zenoh(_) => "the graph of the Zenoh router".into(),
         }
     }
 

@@ -152,6 +152,10 @@ impl Domain {
         _ = self.participant.interfaces_changed();
     }
 
+    pub fn domain_id(&self) -> u16 {
+        self.participant.domain_id()
+    }
+
     /// Returns the other proxies in the domain and what they carry.
     pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         &self.peer_proxies

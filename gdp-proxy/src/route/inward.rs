@@ -3,6 +3,7 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use futures::FutureExt;
@@ -289,6 +290,7 @@ impl Route {
     /// Shows in the status which publishers have no counterpart or an incompatible subscriber.
     /// Announces to the graph's other proxies whether this one can carry the topic.
     fn show(&self, to: &mut In<'_>) {
+        self.publishers_elsewhere.store(to.locals.all().count(), Relaxed);
         to.candidate.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
         faults.extend(to.misfit.clone());

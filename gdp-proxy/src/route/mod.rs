@@ -16,6 +16,7 @@ use std::convert::Infallible;
 use std::fmt::Display;
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 
 use gdp::{Node, NodeError, Publisher};
@@ -23,7 +24,7 @@ use parking_lot::{Mutex, MutexGuard};
 
 use crate::carries::{Carries, Way};
 use crate::config::{Side, Thing, TopicConfig};
-use crate::graph::Graph;
+use crate::graph::{Graph, TopicUse};
 use crate::peer_proxies::Candidate;
 use crate::ros2::TopicName;
 use crate::route_material::RouteMaterial;
@@ -31,6 +32,7 @@ use crate::route_status::{EitherRight, Right, RouteError, RouteStatus};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
 use crate::turns::Turns;
+use crate::waiting::{TopicEnds, Waiting};
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
 use gdp_util::backoff::Backoff;
@@ -46,6 +48,8 @@ pub struct Route {
     types: Arc<Types>,
     counters: Arc<RouteCounters>,
     route_status: RouteStatus,
+    /// `in`: the publishers in the fabric that have a local writer or are to have one.
+    publishers_elsewhere: AtomicUsize,
     /// The counters of the route's publisher or subscription in the fabric.
     fabric: Mutex<FabricCounters>,
 }
@@ -80,6 +84,7 @@ impl Carries for Route {
             types,
             counters: Arc::default(),
             route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
+            publishers_elsewhere: AtomicUsize::new(0),
             fabric: Mutex::new(FabricCounters::None),
         }
     }
@@ -94,10 +99,26 @@ impl Carries for Route {
             graph: self.graph.clone(),
             kind: self.route_status.kind(),
             status: self.route_status.status(),
+            waiting_for: self.route_status.waiting_for(),
             direction: self.side,
             name: self.route_status.name(),
             fabric: self.fabric().read(),
             counted: self.counters.read(),
+        }
+    }
+
+    fn waits_for(&self, graph: &Graph) -> Option<Waiting> {
+        let TopicUse { is_published, is_subscribed } = TopicUse::of(graph, &self.config.topic);
+        match (self.side, &*self.fabric()) {
+            (Side::Out, FabricCounters::Out(of)) => {
+                TopicEnds { local: is_published, remote: Some(of.read().readers) }.outward()
+            }
+            (Side::Out, _) => TopicEnds { local: is_published, remote: None }.outward(),
+            (Side::In, FabricCounters::In(_)) => {
+                let remote = Some(self.publishers_elsewhere.load(Relaxed));
+                TopicEnds { local: is_subscribed, remote }.inward()
+            }
+            (Side::In, _) => None,
         }
     }
 

@@ -19,6 +19,7 @@ use crate::offload::is_large;
 use crate::qos_mapping::publish_options;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
+use crate::waiting::Waiting;
 use gdp_ros::qos_mapping::{exceeds, latched_depth, merged};
 use gdp_ros::roster::{self, Kind, Offer, Outgoing};
 
@@ -112,7 +113,7 @@ impl Route {
         let (first, kind, offered): (Option<(Key, Arc<str>)>, _, _) = match (stated, self.config.qos) {
             (Some(kind), Some(qos)) => (None, kind, qos.into()),
             _ => loop {
-                self.show_out("waiting for a local publisher", &incompatible_publishers);
+                self.show_out(Waiting::LocalPublisher.as_str(), &incompatible_publishers);
                 match reader.next().await? {
                     Event::Joined { key, kind, node, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
                         incompatible_publishers.remove(&key);

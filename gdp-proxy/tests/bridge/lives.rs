@@ -222,6 +222,64 @@ async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
     graph_observer.leave().await;
 }
 
+/// A topic without a publisher is in the log once, and in the diagnostics until there is one.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_topic_waits_for_is_said_once_and_ends_with_a_publisher() {
+    let site = Site::start().await;
+    let id = lease();
+    let kind = TypeName::parse("std_msgs/msg/String").unwrap();
+    let others = Domain::join(id, "others").unwrap();
+    let _other = others.writer(&topic("/other"), &kind, &RELIABLE).unwrap();
+    let _subscriber = others.reader(&topic("/read"), &kind, &RELIABLE).unwrap();
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let proxy = site.proxy_of("a", &domain(id), &topics, "direction: out", "diagnostics: true");
+    let waiting = |value: &'static str| {
+        let proxy = &proxy;
+        async move {
+            while proxy.topics().first().is_none_or(|topic| topic["waiting_for"] != value) {
+                tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+            }
+        }
+    };
+    within("the statistics", waiting("local_publisher")).await;
+    let line = format!("waiting for a local publisher of topic /chatter in domain {id}");
+    let logged = || {
+        let log = std::fs::read_to_string(site.folder("a").join("log")).unwrap();
+        log.lines().filter(|text| text.contains(&line)).map(str::to_owned).collect::<Vec<_>>()
+    };
+    within("the log", async {
+        while logged().is_empty() {
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+    })
+    .await;
+    assert!(logged()[0].contains("seen there: /other") && !logged()[0].contains("/read"), "{:?}", logged());
+
+    let listening = Domain::join(id, "listener").unwrap();
+    let diagnostics = TypeName::parse("diagnostic_msgs/msg/DiagnosticArray").unwrap();
+    let reader = listening.reader(&topic("/diagnostics"), &diagnostics, &RELIABLE).unwrap();
+    let says = |bytes: &[u8], text: &str| bytes.windows(text.len()).any(|part| part == text.as_bytes());
+    while !says(&received(&reader).await, "a local publisher") {}
+
+    let talker = others.writer(&topic("/chatter"), &kind, &RELIABLE).unwrap();
+    while !says(&received(&reader).await, "a reader") {}
+    assert!(!says(&received(&reader).await, "a local publisher"));
+    within("the statistics", waiting("reader")).await;
+    let subscription = site.subscribe(&topics[0]).await;
+    within("the statistics", async {
+        while proxy.topics()[0]["waiting_for"] != serde_json::Value::Null {
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+    })
+    .await;
+    drop((talker, subscription));
+    within("the statistics", waiting("local_publisher")).await;
+    tokio::time::sleep(std::time::Duration::from_secs(7)).await;
+    assert_eq!(logged().len(), 1, "once: {:?}", logged());
+    listening.leave().await;
+    others.leave().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn diagnostics_say_how_a_topic_does_in_either_version() {
     let (site, master) = (Site::start().await, Master::start().await);

@@ -6,14 +6,18 @@ use crate::stats::{Counted, FabricStats};
 #[test]
 fn a_route_is_as_well_as_its_status_says() {
     let cases = [
-        ("up", false, Level::Ok),
-        ("up", true, Level::Warn),
-        ("starting", false, Level::Stale),
-        ("standing by for 75e1", false, Level::Ok),
-        ("the right has ended", false, Level::Error),
+        ("up", None, false, Level::Ok),
+        ("up", None, true, Level::Warn),
+        ("up", Some(Waiting::Reader), false, Level::Warn),
+        ("starting", None, false, Level::Stale),
+        ("starting", Some(Waiting::Switch), false, Level::Warn),
+        ("waiting for a local publisher", Some(Waiting::LocalPublisher), false, Level::Warn),
+        ("standing by for 75e1", None, false, Level::Ok),
+        ("the right has ended", Some(Waiting::Permission), false, Level::Error),
+        ("the right has ended", None, false, Level::Error),
     ];
-    for (status, drops, expected) in cases {
-        assert_eq!(level(status, drops), expected, "{status}");
+    for (status, waiting_for, drops, expected) in cases {
+        assert_eq!(level(status, waiting_for, drops), expected, "{status}");
     }
 }
 
@@ -27,6 +31,7 @@ async fn what_was_counted_is_known_of_the_routes_that_are_there() {
         graph: "ros2".into(),
         kind: None,
         status: "up".into(),
+        waiting_for: None,
         direction: Side::Out,
         name: entity,
         fabric: FabricStats::None,

@@ -14,8 +14,8 @@ use crate::tally::Reason;
 
 /// Of version 5.
 const KEYS: [&str; 10] = [
-    "calls catalogs entity links node switch topics version",
-    "bytes bytes_carried direct direction drops fabric graph latency_us messages name status topic type",
+    "calls catalogs directory entity links node switch topics version",
+    "bytes bytes_carried direct direction drops fabric graph latency_us messages name status topic type waiting_for",
     "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable \
      write_failed",
     "arrival handling",
@@ -28,7 +28,7 @@ const KEYS: [&str; 10] = [
     "abandoned beyond delivered drops duplicates expired incompatible_writers overtaken \
      queue_full repeats",
     "answers answers_by_other calls calls_replicated copies_cancelled direction events events_dropped failures graph \
-     name pending servers service status type what",
+     name pending servers service status type waiting_for what",
 ];
 
 #[test]
@@ -50,6 +50,7 @@ fn route(name: Name, counters: &RouteCounters) -> RouteStats {
         graph: "ros2".into(),
         kind: None,
         status: "up".into(),
+        waiting_for: None,
         direction: Side::Out,
         name,
         fabric: FabricStats::None,
@@ -80,12 +81,23 @@ fn the_keys_are_those_of_the_version() {
         graph: "ros2".into(),
         kind: None,
         status: "up".into(),
+        waiting_for: None,
         direction: Side::In,
         name,
         counted: Default::default(),
     };
     let (topics, calls, links, node) = (vec![route], vec![call], vec![link], NodeCounters::default());
-    let stats = Stats { version: VERSION, entity: name, switch: None, topics, catalogs: vec![], calls, links, node };
+    let stats = Stats {
+        version: VERSION,
+        entity: name,
+        switch: None,
+        topics,
+        directory: None,
+        catalogs: vec![],
+        calls,
+        links,
+        node,
+    };
     let shown = serde_json::to_value(stats).unwrap();
     let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
     let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
@@ -122,6 +134,7 @@ fn the_file_is_whole_and_says_what_happened() {
             switch: None,
             topics,
             catalogs: Vec::new(),
+            directory: None,
             calls: Vec::new(),
             links: Vec::new(),
             node: NodeCounters::default(),

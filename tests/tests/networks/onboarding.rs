@@ -104,6 +104,7 @@ fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
 
     let mut alice = scene.members.pop().context("alice's proxy")?;
     alice.stop(TIMEOUT)?;
+    scene.reads_with_what_joining_wrote()?;
     let mut command = scene.alice.inside.command(scene.tools.gdp_proxy()?)?;
     let left = execute(command.args(["leave", "--dir"]).arg(scene.files.path().join("alice")))?;
     ensure!(left.contains("no longer lists"), "{left}");
@@ -280,6 +281,36 @@ impl Scene {
         let mut command = self.join_command(label, line, at)?;
         command.args(["--label", label, "--expose", "/chatter"]);
         Process::spawn(label, command, self.files.path())
+    }
+
+    /// Reads from the command line at alice's, without her proxy and without any further file.
+    fn reads_with_what_joining_wrote(&self) -> Result<()> {
+        let command = |arguments: &[&str]| -> Result<Command> {
+            let mut command = self.alice.inside.command(self.tools.gdp_ctl()?)?;
+            command.args(arguments).arg("--keyring").arg(self.files.path().join("alice"));
+            command.env("GDP_SOCKET", "/nowhere/ctl.sock");
+            Ok(command)
+        };
+        let refused = |arguments: &[&str]| -> Result<String> {
+            let done = command(arguments)?.output()?;
+            ensure!(done.status.code() == Some(1), "{arguments:?}: {done:?}");
+            Ok(String::from_utf8_lossy(&done.stderr).into_owned())
+        };
+        let listed = execute(&mut command(&["topic", "list"])?)?;
+        ensure!(listed.trim() == "/robot7/camera/image", "{listed}");
+        let measuring = command(&["topic", "hz", "/robot7/camera/image"])?;
+        let mut measuring = Process::spawn("alice-hz", measuring, self.files.path())?;
+        measuring.wait_until("a rate", TIMEOUT, |hz| hz.stdout().contains("average rate").then_some(()))?;
+        measuring.stop(TIMEOUT)?;
+
+        let secret = refused(&["topic", "echo", "/robot7/chatter", "--once"])?;
+        ensure!(secret.contains("robot7 lists no topic /chatter for alice, but /robot7/camera/image"), "{secret}");
+        ensure!(secret.contains("gdp-ctl invite alice --read 'robot7:/chatter'"), "{secret}");
+        let unknown = refused(&["topic", "hz", "/robot9/chatter"])?;
+        ensure!(unknown.contains("no member has the label robot9") && unknown.contains("robot7"), "{unknown}");
+        let nobody = refused(&["topic", "hz", "chatter"])?;
+        ensure!(nobody.contains("not a topic of a member, which is written /LABEL/TOPIC"), "{nobody}");
+        Ok(())
     }
 
     /// Runs a command with this input, and returns all that it says.

@@ -1,9 +1,11 @@
 //! The single entry point for requests of entities, over their links or the admin socket.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp_core::name::NameProof;
 use gdp_link::link::Link;
+use gdp_proto::admin::words::RefusedThing;
 use gdp_proto::control::{EntityRequest, Response};
 
 use super::core::follow_up::FollowUp;
@@ -29,6 +31,7 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
     if let Some((proof, revocation)) = domain::domain_revocation(daemon, &request) {
         return domain::take_revocation(daemon, proof, revocation, link).await;
     }
+    let registers = !matches!(request, EntityRequest::Query { .. } | EntityRequest::Revoke { .. });
     let attaching = link.filter(|_| matches!(request, EntityRequest::Attach { .. }));
     let taken_in = daemon.answer(|core| {
         let next = core.entity_request(entity, link.is_none(), request);
@@ -41,6 +44,10 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
         next
     });
     let response = taken_in.await;
+    if let (Some(link), Response::Refused(refusal), true) = (link, &response, registers) {
+        let refusals = &mut daemon.core().switch.recent_refusals;
+        refusals.add(link.peer().name, RefusedThing::Registration, &refusal.reason, Instant::now());
+    }
     if let (Some(link), Response::Attached { .. }) = (attaching, &response) {
         let mut core = daemon.core();
         core.switch.link_ready(link);

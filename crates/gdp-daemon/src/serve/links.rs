@@ -13,7 +13,7 @@ use super::daemon::{Daemon, SerializedTask};
 use super::detach::detach_lost;
 use super::entity_requests::{self, Origin};
 use super::events::Event;
-use super::{costs, domain, flooding, liveness};
+use super::{costs, domain, flooding, inspection, liveness};
 use crate::config::Via;
 
 /// Time, beside three round trips, within which a program that still runs answers over its link.
@@ -153,6 +153,7 @@ async fn serve_requests(daemon: &Arc<Daemon>, link: &Link) {
                 daemon.core().switch.prefer(link);
                 Response::Done
             }
+            Request::Inspect(inspection) => inspection::answer(daemon, link, inspection).await,
             Request::WatchCosts => costs::watch(daemon, link, &mut watches_costs),
             _ => Refusal::new(RefusalCode::Malformed, "an endpoint may not send what switches tell each other").into(),
         };

@@ -11,6 +11,7 @@ use futures::StreamExt;
 use gdp_core::crypto;
 use gdp_link::link::{Link, LinkError};
 use gdp_link::port::{Interface, LinkAddr, Port};
+use gdp_proto::admin::words::RefusedThing;
 use gdp_util::backoff::{Backoff, jittered};
 use gdp_wire::Name;
 use tokio::sync::watch;
@@ -192,7 +193,11 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
 async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let peer = link.peer().name;
     if let Err(reason) = links::take(daemon, link, via.clone()).await {
-        let is_new = daemon.core().switch.refused(peer, &via, &reason);
+        let is_new = {
+            let switch = &mut daemon.core().switch;
+            switch.recent_refusals.add(peer, RefusedThing::Link, &reason, std::time::Instant::now());
+            switch.refused(peer, &via, &reason)
+        };
         if is_new {
             tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
         }

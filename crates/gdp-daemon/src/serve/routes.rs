@@ -12,7 +12,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp_link::link::KeyedEntry;
-use gdp_proto::control::{Extent, FibPush, Route};
+use gdp_proto::control::{Extent, FibPush, OwnName, Route};
 use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
 use gdp_wire::{LinkRole, Name};
 
@@ -251,6 +251,25 @@ impl Routes {
         let ways = self.concerned.get(endpoint).into_iter().flatten().filter_map(|name| self.way(name));
         let leads = |route: &Route| route.egress_bits != 0 || !route.locals.is_empty();
         ways.filter(|way| way.route.writers.contains(endpoint) && leads(&way.route)).count()
+    }
+
+    /// Returns at most `most` names that an endpoint sends to or receives, without its own, and
+    /// whether there are more.
+    pub fn names_of(&self, endpoint: &Name, most: usize) -> (Vec<OwnName>, bool) {
+        let names = self.concerned.get(endpoint).into_iter().flatten().filter(|name| *name != endpoint);
+        let own = |way: Way| {
+            let Route { name, egress_bits, locals, writers, .. } = way.route;
+            OwnName {
+                name,
+                sends: writers.contains(endpoint),
+                receives: locals.contains(endpoint),
+                has_receivers: egress_bits != 0 || !locals.is_empty(),
+            }
+        };
+        let mut names: Vec<OwnName> = names.filter_map(|name| self.way(name)).map(own).take(most + 1).collect();
+        let truncated = names.len() > most;
+        names.truncate(most);
+        (names, truncated)
     }
 
     /// Returns the neighbours that reach these egress switches.

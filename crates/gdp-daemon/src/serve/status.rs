@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp_core::cert::{Adjoining, LinkState};
 use gdp_core::peer::Role;
@@ -39,8 +40,6 @@ pub fn hello(daemon: &Daemon) -> HelloReply {
 pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
     let found = interfaces::list().await.unwrap_or_default();
     let core = daemon.core();
-    let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
-    let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
     let report = core.switch.planes.report();
     let (losses, mut errors) = match core.switch.planes.losses() {
         Ok(losses) => (losses, Vec::new()),
@@ -83,9 +82,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
     });
     errors.extend(core.switch.pending_routes());
     errors.extend(core.rib_host.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
-    // Interfaces that the switch created itself are of no interest to the user.
-    let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
-    let (data_plane, data_plane_reason) = summary(&outward, udp_links);
+    let (data_plane, data_plane_reason) = self::data_plane(&core);
     let dpdk_processor_time = core.switch.planes.dpdk_processor_time();
     StatusReply {
         name: core.name(),
@@ -96,6 +93,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
         udp: daemon.udp.get().copied(),
         links: links(&core),
         links_in_grace: links_in_grace(&core),
+        refused: core.switch.recent_refusals.all(Instant::now()),
         handshakes: handshakes(daemon.port_config.handshakes.read()),
         counters,
         counters_by_plane,
@@ -301,6 +299,16 @@ fn foreign(relationship: &Relationship) -> Option<Name> {
 fn errors_received(core: &Core, link: u32) -> Counts {
     let errors = ErrorCode::ALL.iter().zip(core.switch.planes.notices().errors(link));
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count)).collect()
+}
+
+/// Returns one word for the data planes of all interfaces, and the reasons.
+pub fn data_plane(core: &Core) -> (&'static str, String) {
+    let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
+    let report = core.switch.planes.report();
+    // Interfaces that the switch created itself are of no interest to the user.
+    let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
+    summary(&outward, udp_links)
 }
 
 /// Returns one word for the data planes of all interfaces, and the reasons. `udp_links` counts the

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::links::{Counts, GraceLink, LinkStatus};
-use super::words::{TierKind, TierState};
+use super::words::{RefusedThing, TierKind, TierState};
 
 /// Whose switch answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -37,6 +37,8 @@ pub struct StatusReply {
     /// Links whose peers fell silent or have a newer link, or that an earlier daemon left; by id.
     pub links_in_grace: Vec<GraceLink>,
     pub handshakes: Handshakes,
+    /// Refused links and registrations of the last minute, at most 64; the latest first.
+    pub refused: Vec<RecentRefusal>,
     /// Of all data planes together.
     pub counters: Counts,
     /// Each counter by data plane: `kernel` or `dpdk`, and `userspace`.
@@ -53,6 +55,18 @@ pub struct StatusReply {
     pub tiers: Option<Vec<TierStatus>>,
     pub warnings: Vec<Warning>,
     pub errors: Vec<String>,
+}
+
+/// What a peer was refused in the last minute.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RecentRefusal {
+    pub peer: Name,
+    pub what: RefusedThing,
+    /// The latest reason.
+    pub reason: String,
+    pub count: u32,
+    /// Time since the latest one.
+    pub age_s: u64,
 }
 
 /// A network interface that the switch uses.

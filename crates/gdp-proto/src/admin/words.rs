@@ -28,6 +28,15 @@ macro_rules! words {
 }
 
 words! {
+    /// What the switch refused.
+    RefusedThing {
+        Link = "link",
+        /// An attachment or registration of an endpoint.
+        Registration = "registration",
+    }
+}
+
+words! {
     /// What the peer of a link is to the data planes.
     PeerRole {
         Endpoint = "endpoint",

@@ -25,6 +25,7 @@ fn an_error_names_the_line_and_the_nearest_key() {
         ("identty: a\n", "there is no key `identty`; did you mean `identity`? at line 1, column 1"),
         ("identity: a\nzz: 1\n", "there is no key `zz`; there is identity, plane at line 2"),
         ("identity: a\nplane: user_space\n", "there is no value `user_space`; did you mean `userspace`? at line 2"),
+        ("identity: a\n\tplane: xdp\n", "a tab; use spaces, because YAML allows no tabs here"),
         ("identity: a\nplane:\n\t- xdp\n", "a tab; use spaces, because YAML allows no tabs here at line 3"),
     ] {
         let error = parse::<File>(text).unwrap_err();

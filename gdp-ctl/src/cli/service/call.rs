@@ -61,14 +61,13 @@ pub struct CallOutput {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
-    let card = keyring.find(&options.what, "service")?;
+    let types = options.definitions.load()?;
     let (given, wanted) = (UserInput::parse(&options.values)?, TypeName::parse(&options.type_name)?);
-    let ask = async |fabric: &Fabric| {
-        let grant = fabric.keyring.grant(&card, fabric.node.name(), unix_seconds())?;
+    let ask = async |fabric: &Fabric, card: &NameCard| {
+        let grant = fabric.keyring.grant(card, fabric.node.name(), unix_seconds())?;
         let client = fabric.node.client(card.proof(), grant).await?;
-        let server = Server::find(&client, &card).await?;
-        server.check(&wanted, &card)?;
+        let server = Server::find(&client, card).await?;
+        server.check(&wanted, card)?;
         let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
         let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
         if !context.output.json {
@@ -79,11 +78,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let answer = server.call(&client, request.encode(&json, native)?).await?;
         let answer = response.decode(&answer, native)?;
         let text = response.text(&answer)?;
-        let (service, name) = (called(&card).to_owned(), card.name());
+        let (service, name) = (called(card).to_owned(), card.name());
         let output = CallOutput { service, name, server: server.instance, response: answer };
         context.output.print(&output, || [String::new(), "response:".into(), text])
     };
-    options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
+    let ask = async |fabric: &Fabric, card: &NameCard| unless_interrupted(ask(fabric, card)).await;
+    options.node.with_card(&options.what, "service", context, ask).map(drop)
 }
 
 /// A server of the name, with its description of the service.

@@ -67,16 +67,14 @@ fn parse_path(text: &str) -> Result<Path, String> {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
-    let card = keyring.find(&options.what, "topic")?;
-    let mut decoder = Decoder::new(types);
-    let mut echo = async |fabric: &Fabric| {
-        let mut feed = listen(fabric, &card, SubscribeOptions::as_offered()).await?;
+    let mut decoder = Decoder::new(options.definitions.load()?);
+    let mut echo = async |fabric: &Fabric, card: &NameCard| {
+        let mut feed = listen(fabric, card, SubscribeOptions::as_offered()).await?;
         let mut printed = 0u64;
         let all = async {
             tokio::select! {
-                done = print_all(options, context, fabric, &card, &mut feed, &mut decoder, &mut printed) => done,
-                done = tell_if_silent(fabric, &card) => done,
+                done = print_all(options, context, fabric, card, &mut feed, &mut decoder, &mut printed) => done,
+                done = tell_if_silent(fabric, card) => done,
             }
         };
         let Some(seconds) = options.timeout else { return all.await };
@@ -84,11 +82,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             Ok(done) => done,
             Err(_) if printed > 0 => Ok(()),
             Err(_) => {
-                bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(&card))
+                bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(card))
             }
         }
     };
-    let echoed = options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(echo(fabric)).await);
+    let echo = async |fabric: &Fabric, card: &NameCard| unless_interrupted(echo(fabric, card)).await;
+    let echoed = options.node.with_card(&options.what, "topic", context, echo);
     echoed.map(drop)
 }
 

@@ -78,13 +78,13 @@ struct Info {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let keyring = options.node.keyring()?;
-    let card = keyring.find(&options.what, "topic")?;
-    let gather = async |fabric: &Fabric| {
-        let asking = format!("asking the publishers of {}", called(&card));
-        while_waiting(&asking, unless_interrupted(gather(fabric, &card))).await
+    let gather = async |fabric: &Fabric, card: &NameCard| {
+        let asking = format!("asking the publishers of {}", called(card));
+        let info = while_waiting(&asking, unless_interrupted(gather(fabric, card))).await?;
+        Ok(info.map(|info| (card.clone(), info)))
     };
-    let Some(info) = options.node.with_fabric(keyring, context, gather)? else { return Ok(()) };
+    let asked = options.node.with_card(&options.what, "topic", context, gather)?;
+    let Some((card, info)) = asked else { return Ok(()) };
     context.output.print(&InfoOutput::new(&card, &info), || lines(&card, &info, options.verbose))
 }
 

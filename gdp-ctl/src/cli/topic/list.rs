@@ -3,14 +3,17 @@
 
 use clap::Args;
 use gdp_core::card::NameCard;
+use gdp_util::terminal::note;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::super::node::{NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
+use crate::cli::progress::while_waiting;
 use crate::ros::fabric::{Entities, Fabric};
 use crate::ros::keyring::called;
+use crate::ros::members;
 
 #[derive(Debug, Args)]
 pub struct ListOptions {
@@ -61,35 +64,26 @@ enum Sides {
 }
 
 impl ListEntry {
-    fn new(card: &NameCard, entities: Option<Sides>) -> Self {
+    fn new(alias: &str, card: &NameCard, entities: Option<Sides>) -> Self {
         let r#type = card.get("type").unwrap_or_default().to_owned();
-        Self { topic: called(card).to_owned(), r#type, name: card.name(), entities }
+        Self { topic: alias.to_owned(), r#type, name: card.name(), entities }
     }
 }
 
-/// Lists the cards of `kind`: `topic`, `service` or `action`.
+/// Lists the cards of `kind`: `topic`, `service` or `action`. For a member of a domain, it also
+/// lists what other members share with it.
 pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Result<()> {
     let keyring = options.node.keyring()?;
-    let mut cards: Vec<NameCard> = keyring.cards(kind).cloned().collect();
-    cards.sort_by_key(|card| (called(card).to_owned(), card.name()));
-    let mut entries: Vec<ListEntry> = cards.iter().map(|card| ListEntry::new(card, None)).collect();
-    if options.verbose || (context.output.json && !options.count) {
-        let ask = async |fabric: &Fabric| {
-            let mut entries = Vec::new();
-            for card in &cards {
-                let Entities { writers, readers } = fabric.entities(card).await?;
-                let sides = match kind {
-                    "topic" => Sides::Topic { publishers: writers, subscribers: readers },
-                    _ => Sides::Service { servers: writers, clients: readers },
-                };
-                entries.push(ListEntry::new(card, Some(sides)));
-            }
-            Ok(entries)
-        };
+    let asks_rib = options.verbose || (context.output.json && !options.count);
+    let own = keyring.cards(kind).map(|card| (called(card).to_owned(), card.clone())).collect();
+    let entries = if asks_rib || keyring.has_directory() {
+        let ask = async |fabric: &Fabric| gather(kind, own, asks_rib, fabric).await;
         let asked = options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await);
         let Some(asked) = asked? else { return Ok(()) };
-        entries = asked;
-    }
+        asked
+    } else {
+        sorted(own).iter().map(|(alias, card)| ListEntry::new(alias, card, None)).collect()
+    };
     let lines = match options {
         ListOptions { count: true, .. } => vec![entries.len().to_string()],
         ListOptions { verbose: true, .. } => verbose(kind, &entries),
@@ -102,6 +96,42 @@ pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Res
         _ => ListOutput::Actions(entries),
     };
     context.output.print(&output, || lines)
+}
+
+fn sorted(mut cards: Vec<(String, NameCard)>) -> Vec<(String, NameCard)> {
+    cards.sort_by_key(|(alias, card)| (alias.clone(), card.name()));
+    cards
+}
+
+/// Returns the entries of these cards and of those that members share, with their entities if the
+/// RIB is asked.
+async fn gather(
+    kind: &str,
+    mut cards: Vec<(String, NameCard)>,
+    asks_rib: bool,
+    fabric: &Fabric,
+) -> anyhow::Result<Vec<ListEntry>> {
+    if fabric.keyring.has_directory() {
+        let (shared, unanswered) =
+            while_waiting("asking the members of the domain", members::all(fabric, kind)).await?;
+        cards.extend(shared.into_iter().map(|shared| (shared.alias, shared.card)));
+        unanswered.iter().for_each(|why| note(format_args!("gdp-ctl: warning: {why}")));
+    }
+    let mut entries = Vec::new();
+    for (alias, card) in sorted(cards) {
+        let sides = match asks_rib {
+            true => {
+                let Entities { writers, readers } = fabric.entities(&card).await?;
+                Some(match kind {
+                    "topic" => Sides::Topic { publishers: writers, subscribers: readers },
+                    _ => Sides::Service { servers: writers, clients: readers },
+                })
+            }
+            false => None,
+        };
+        entries.push(ListEntry::new(&alias, &card, sides));
+    }
+    Ok(entries)
 }
 
 fn line(entry: &ListEntry, with_type: bool) -> String {

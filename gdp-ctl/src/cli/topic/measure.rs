@@ -149,10 +149,8 @@ fn measure(
     context: &Context,
     mut take: impl FnMut(Figure<'_>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let keyring = options.node.keyring()?;
-    let card = keyring.find(&options.what, "topic")?;
-    let all = async |fabric: &Fabric| {
-        let mut subscription = subscribe(fabric, &card, SubscribeOptions::best_effort()).await?;
+    let all = async |fabric: &Fabric, card: &NameCard| {
+        let mut subscription = subscribe(fabric, card, SubscribeOptions::best_effort()).await?;
         let (begun, mut ticks) = (Instant::now(), tokio::time::interval(PERIOD));
         let at = || begun.elapsed().as_nanos() as u64;
         loop {
@@ -160,22 +158,21 @@ fn measure(
                 received = subscription.recv() => match received {
                     Some(message) if message.encoding == ROSTER => {}
                     Some(message) => take(Figure::Arrivals(at(), &message))?,
-                    None => return ended(fabric, &card),
+                    None => return ended(fabric, card),
                 },
                 _ = ticks.tick() => take(Figure::Show(at()))?,
             }
         }
     };
-    run(options, context, keyring, &card, all)
+    run(options, context, all)
 }
 
 pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
     let DelayOptions { measure: options, definitions } = options;
-    let (keyring, mut decoder) = (options.node.keyring()?, Decoder::new(definitions.load()?));
-    let card = keyring.find(&options.what, "topic")?;
+    let mut decoder = Decoder::new(definitions.load()?);
     let mut delays = Delays::new(options.window(TIMES));
-    let all = async |fabric: &Fabric| {
-        let mut feed = listen(fabric, &card, SubscribeOptions::best_effort()).await?;
+    let all = async |fabric: &Fabric, card: &NameCard| {
+        let mut feed = listen(fabric, card, SubscribeOptions::best_effort()).await?;
         let (mut ticks, mut told) = (tokio::time::interval(PERIOD), false);
         loop {
             let heard = tokio::select! {
@@ -185,7 +182,7 @@ pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
                     continue;
                 }
             };
-            let Some(heard) = heard else { return ended(fabric, &card) };
+            let Some(heard) = heard else { return ended(fabric, card) };
             let stamped = match decoder.decode(&heard) {
                 Ok(decoded) => stamp(&decoded.value),
                 Err(error) => {
@@ -202,7 +199,7 @@ pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
             delays.record((unix_time().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
         }
     };
-    run(options, context, keyring, &card, all)
+    run(options, context, all)
 }
 
 fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
@@ -242,20 +239,18 @@ impl TimesOutput {
 fn run(
     options: &Options,
     context: &Context,
-    keyring: crate::ros::keyring::Keyring,
-    card: &NameCard,
-    all: impl AsyncFnOnce(&Fabric) -> anyhow::Result<()>,
+    all: impl AsyncFnOnce(&Fabric, &NameCard) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let either = async |fabric: &Fabric| {
+    let either = async |fabric: &Fabric, card: &NameCard| {
         let all = async {
             tokio::select! {
-                done = all(fabric) => done,
+                done = all(fabric, card) => done,
                 done = tell_if_silent(fabric, card) => done,
             }
         };
         unless_interrupted(all).await
     };
-    options.node.with_fabric(keyring, context, either).map(drop)
+    options.node.with_card(&options.what, "topic", context, either).map(drop)
 }
 
 fn ended<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {

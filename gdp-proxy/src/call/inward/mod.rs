@@ -30,6 +30,7 @@ use super::{LAST_WORDS, Route, Way};
 use crate::graph::Asked;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
+use crate::waiting::Waiting;
 use servers::{ask_for_events, withdraw};
 
 /// Pending calls, each of which returns the servers that were found to have changed.
@@ -80,7 +81,7 @@ impl Route {
         let (mut ticks, mut changes, mut ended) = (ticks(), client.changes(), pin!(client.ended()));
         changes.mark_changed();
         let (mut doing, mut calls) = (Doing::new(), Calls::new());
-        self.route_status.set_status("waiting for a server elsewhere");
+        self.route_status.set_status(Waiting::RemoteServer.as_str());
         let why = loop {
             self.speak(&mut to, &doing);
             let local = to.local.as_ref().map(|(local, _)| local.clone());

@@ -23,6 +23,7 @@ use crate::config::What;
 use crate::graph::GraphError;
 use crate::node_name::local_node;
 use crate::route_status::RouteError;
+use crate::waiting::Waiting;
 
 /// Bound on the remote servers of a name; only the nearest are used.
 const MAX_SERVERS: usize = 64;
@@ -73,7 +74,7 @@ impl Route {
         if let Some((local, _)) = to.local.take() {
             tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here \
                                                          any more");
-            self.route_status.set_status("waiting for a server elsewhere");
+            self.route_status.set_status(Waiting::RemoteServer.as_str());
             to.outbox = Outbox::default();
             let message = to.board.message();
             doing.push(Box::pin(async move { Done::Withdrawn(withdraw(local, message).await) }));

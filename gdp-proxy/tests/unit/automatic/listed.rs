@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp_core::cert::{MemberCert, issue};
+use gdp_core::cert::{Grantee, MemberCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::name::Metadata;
 use gdp_ros::catalog::{CATALOG, Entry};

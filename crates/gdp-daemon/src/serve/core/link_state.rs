@@ -1,6 +1,6 @@
 //! The state of a link that is up, with its data-plane entry.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gdp_core::peer::Role;
 use gdp_link::link::{KeyedEntry, Link};
@@ -12,6 +12,17 @@ use gdp_wire::{LinkEntry, LinkRole, Name};
 use crate::config::Via;
 use crate::domain::{Admission, Relationship};
 
+/// Questions of an endpoint that are answered at once, such as the probes of one trace.
+const BURST: u32 = 64;
+
+/// Time in which the allowance for one more question refills.
+const INTERVAL: Duration = Duration::from_millis(50);
+
+/// Returns the allowance for the questions of an endpoint about its attachment and its names.
+pub fn inspections() -> Allowance {
+    Allowance::new(BURST, INTERVAL)
+}
+
 /// The state of a link that is up.
 pub struct LinkState {
     pub link: Link,
@@ -21,6 +32,8 @@ pub struct LinkState {
     pub admission: Admission,
     /// The rate limit on traces that the peer requests, if it is of another domain.
     pub traces: Allowance,
+    /// The rate limit on questions of the peer, if it is an endpoint.
+    pub inspections: Allowance,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
 }

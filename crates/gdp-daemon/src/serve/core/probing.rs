@@ -41,7 +41,7 @@ impl Core {
     }
 
     /// Returns the egress switches of a name that are in the topology.
-    fn egress_of(&self, name: &Name) -> impl Iterator<Item = Name> {
+    pub fn egress_of(&self, name: &Name) -> impl Iterator<Item = Name> {
         let paths = self.topology.paths();
         let bits = self.switch.planes.route(name).map_or(0, |entry| entry.egress_bits);
         let of = move |bit: u8| (bits >> bit & 1 != 0).then(|| paths.bits.get(&bit).copied()).flatten();

@@ -12,7 +12,7 @@ use gdp_wire::{LinkRole, Name};
 use super::Switch;
 use crate::config::Via;
 use crate::domain::{Admission, DomainError};
-use crate::serve::core::link_state::{LinkState, flags_of, link_role, role_on};
+use crate::serve::core::link_state::{LinkState, flags_of, inspections, link_role, role_on};
 use crate::serve::events::Event;
 use crate::serve::graceful_restart::{GRACE, Reservation, StaleLink};
 
@@ -52,8 +52,8 @@ impl Switch {
             via: via.to_string(),
             address: to.to_string(),
         });
-        let (since, traces) = (Instant::now(), Allowance::default());
-        self.links.insert(id, LinkState { link: link.clone(), via, since, admission, traces, entry, to });
+        let (since, traces, inspections) = (Instant::now(), Allowance::default(), inspections());
+        self.links.insert(id, LinkState { link: link.clone(), via, since, admission, traces, inspections, entry, to });
         let changes = self.routes.link_up(role, peer, lane, id);
         self.apply(changes);
         Ok(replaced)

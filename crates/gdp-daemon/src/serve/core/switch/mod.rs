@@ -16,6 +16,7 @@ use super::link_state::LinkState;
 use crate::domain::Relationship;
 use crate::serve::events::{Event, Events};
 use crate::serve::graceful_restart::{GracefulRestart, Reservation, StaleLink};
+use crate::serve::recent_refusals::RecentRefusals;
 use crate::serve::refusals::Refusals;
 use crate::serve::routes::{PlaneChange, Routes};
 
@@ -37,6 +38,8 @@ pub struct Switch {
     pub attached: HashSet<Name>,
     /// The reasons why peers got no link.
     pub refusals: Refusals,
+    /// What was refused in the last minute.
+    pub recent_refusals: RecentRefusals,
     events: Events,
     /// The indices of interfaces without carrier.
     no_carrier: BTreeSet<u32>,
@@ -57,6 +60,7 @@ impl Switch {
             peers: BTreeMap::new(),
             attached: HashSet::new(),
             refusals: Refusals::default(),
+            recent_refusals: RecentRefusals::new(Instant::now()),
             events,
             no_carrier: BTreeSet::new(),
             pending_routes: Default::default(),
