@@ -16,6 +16,7 @@ use gdp_core::cert::{
 };
 use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
 use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, SERVER, fingerprint, join_card};
@@ -150,6 +151,7 @@ impl Home {
         node.close().await;
         let Approval { invite, enrollment, call } = approval;
         let approved = Token::new(*token.domain(), invite, key, token.at().clone(), token.switch())?;
+        let approved = approved.also(token.addresses().skip(1).cloned().collect());
         Ok(approved.enroll(Enrolling { enrollment, call })?)
     }
 
@@ -311,10 +313,13 @@ fn offer(owner: &SigningKey, card: &NameCard, entity: Name, enrollment: &Enrollm
 /// Attaches at the switch that the invitation names.
 async fn connect(token: &Token, identity: &Identity, membership: Membership) -> Result<Node> {
     let credentials = Some(Credentials { membership, peers: Vec::new() });
-    let links = vec![LinkConfig { target: token.at().clone(), switch: token.switch(), budget: None }];
+    let link = |target: &LinkTarget| LinkConfig { target: target.clone(), switch: token.switch(), budget: None };
+    let links = token.addresses().map(link).collect();
     let config = NodeConfig { links, credentials, ..NodeConfig::new(identity.clone(), token.at().clone()) };
     Node::connect(config).await.with_context(|| {
-        format!("no way into the domain at {}; is its switch running, and UDP open on the way?", token.at())
+        let addresses: Vec<_> = token.addresses().map(ToString::to_string).collect();
+        let tls = if addresses.len() > 1 { "" } else { " Where no UDP passes, the server needs `gdp-ctl up --tls`" };
+        format!("no path to the domain at {}; is its switch running, and the port open?{tls}", addresses.join(" or "))
     })
 }
 
@@ -351,12 +356,13 @@ async fn ask_client(client: &Client, request: &[u8]) -> Result<bytes::Bytes, Nod
 fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let quoted = |text: &str| escape_json(&serde_json::json!(text).to_string()).into_owned();
     let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
-    let to = quoted(&token.at().to_string());
+    let link = |to: &LinkTarget| format!("{{to: {}{switch}}}", quoted(&to.to_string()));
+    let links = token.addresses().map(link).collect::<Vec<_>>().join(", ");
     let topics: Vec<String> = enrollment.expose.iter().map(|pattern| quoted(pattern)).collect();
     let topics = topics.join(", ");
     let export = if enrollment.label == SERVER { ", export: true" } else { "" };
     format!(
-        "version: 1\nidentity: proxy.pem\nlinks: [{{to: {to}{switch}}}]\nstate: state\n\
+        "version: 1\nidentity: proxy.pem\nlinks: [{links}]\nstate: state\n\
          domain: {{card: domain.card, membership: membership}}\ndirectory: {{grant: directory.grant{export}}}\n\
          expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]}}\n"
     )

@@ -4,6 +4,7 @@
 
 mod dpdk;
 mod etcd;
+mod listen;
 
 use std::collections::HashSet;
 use std::io::Read;
@@ -18,11 +19,12 @@ use gdp_core::file_kind::FileKind;
 use gdp_link::link::RekeySchedule;
 use gdp_util::yaml;
 use gdp_wire::Name;
-use serde::{Deserialize, Deserializer};
+use serde::Deserialize;
 
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
+use self::listen::{UdpConfig, parse_tls};
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
@@ -46,6 +48,8 @@ pub struct Config {
     pub all_interfaces: bool,
     /// The address that accepts links over UDP, if any.
     pub udp: Option<SocketAddr>,
+    /// The TCP address that accepts links over TLS, if any.
+    pub tls: Option<SocketAddr>,
     pub data_plane: DataPlane,
     /// The settings of the DPDK plane.
     pub dpdk: DpdkConfig,
@@ -174,6 +178,7 @@ impl Config {
             interfaces: Some(Vec::new()),
             all_interfaces: false,
             udp: Some(udp),
+            tls: None,
             data_plane: DataPlane::Userspace,
             dpdk: DpdkConfig::default(),
             rib: false,
@@ -272,6 +277,7 @@ struct File {
     socket: Option<PathBuf>,
     interfaces: Option<Vec<String>>,
     udp: UdpConfig,
+    tls: Option<String>,
     data_plane: DataPlane,
     dpdk: DpdkEntry,
     rib: Option<bool>,
@@ -300,24 +306,6 @@ struct DomainEntry {
     members_only: bool,
     #[serde(default)]
     trace: Inside,
-}
-
-/// The `udp` key. Unlike a missing key, `null` turns UDP off.
-#[derive(Debug, Default)]
-enum UdpConfig {
-    #[default]
-    Absent,
-    Off,
-    On(SocketAddr),
-}
-
-impl<'de> Deserialize<'de> for UdpConfig {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let addr = Option::<String>::deserialize(deserializer)?;
-        let Some(addr) = addr else { return Ok(Self::Off) };
-        let problem = |_| format!("udp: {addr:?} is not an address and port such as 0.0.0.0:31415 or [::]:31415");
-        addr.parse().map(Self::On).map_err(problem).map_err(serde::de::Error::custom)
-    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -378,6 +366,10 @@ impl File {
             let switch = over_udp.address.switch;
             return invalid(format!("udp: null turns UDP off, but the neighbour {switch} is reached over it"));
         }
+        let tls = self.tls.map(|text| parse_tls(&text)).transpose().map_err(ParseError::Invalid)?;
+        if tls.is_some() && matches!(self.udp, UdpConfig::Off) {
+            return invalid("tls: links over TLS need the UDP port, which udp: null turns off; remove one".into());
+        }
         if let Some(interfaces) = &self.interfaces {
             for neighbour in &neighbours {
                 if let Via::Interface(name) = &neighbour.address.via
@@ -426,6 +418,7 @@ impl File {
                 UdpConfig::Off => None,
                 UdpConfig::On(addr) => Some(addr),
             },
+            tls,
             data_plane: self.data_plane,
             dpdk,
             rib,

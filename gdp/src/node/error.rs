@@ -13,6 +13,7 @@ use gdp_e2e::keys::RingError;
 use gdp_e2e::seal::SealError;
 use gdp_link::link::LinkError;
 use gdp_link::port::LinkAddr;
+use gdp_link::tunnel::TunnelError;
 use gdp_proto::control::{Refusal, RefusalCode};
 
 /// Why a node could not perform an operation.
@@ -20,6 +21,8 @@ use gdp_proto::control::{Refusal, RefusalCode};
 pub enum NodeError {
     #[error(transparent)]
     Link(#[from] LinkError),
+    #[error(transparent)]
+    Tunnel(#[from] TunnelError),
     #[error(transparent)]
     Domain(#[from] DomainError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
@@ -74,7 +77,9 @@ impl NodeError {
             Self::Refused(refusal) => {
                 matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
             }
-            Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
+            Self::Link(_) | Self::Tunnel(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => {
+                true
+            }
             // The credentials may be renewed.
             Self::Domain(_) => true,
             Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,

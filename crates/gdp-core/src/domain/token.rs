@@ -12,6 +12,7 @@ use crate::cert::{CertError, Delegation, Enrollment, Invite, MemberCert, Members
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
 use crate::name::{Metadata, Name, NameProof, inner_digest};
+use crate::peer::MAX_LANES;
 
 const PREFIX: &str = "gdp1";
 
@@ -41,6 +42,8 @@ pub struct Token {
     invite: Signed<Invite>,
     key: SigningKey,
     at: LinkTarget,
+    /// Further addresses of the same switch.
+    also: Vec<LinkTarget>,
     switch: Option<Name>,
     enrolling: Option<Enrolling>,
 }
@@ -62,6 +65,8 @@ struct Form {
     #[serde(with = "crate::cbor::array")]
     key: [u8; 32],
     at: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    also: Vec<String>,
     switch: Option<Name>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     enrolling: Option<Enrolling>,
@@ -83,7 +88,7 @@ impl Token {
         at: LinkTarget,
         switch: Option<Name>,
     ) -> Result<Self, CertError> {
-        let token = Self { domain, invite, key, at, switch, enrolling: None };
+        let token = Self { domain, invite, key, at, also: Vec::new(), switch, enrolling: None };
         token.invite()?;
         Ok(token)
     }
@@ -117,6 +122,13 @@ impl Token {
         Ok(Self { enrolling: Some(enrolling), ..self })
     }
 
+    /// Adds further addresses of the switch, in order of preference after [`Self::at`]. A node has
+    /// no use for more than [`MAX_LANES`] addresses.
+    pub fn also(self, mut also: Vec<LinkTarget>) -> Self {
+        also.truncate(MAX_LANES - 1);
+        Self { also, ..self }
+    }
+
     /// Returns the enrollment, if the domain enrolls this member.
     pub fn enrolling(&self) -> Option<&Enrolling> {
         self.enrolling.as_ref()
@@ -140,8 +152,14 @@ impl Token {
         NameCard::new(self.domain.verify_key()?, metadata).map_err(|error| CertError::Malformed(error.to_string()))
     }
 
+    /// Returns the preferred address.
     pub fn at(&self) -> &LinkTarget {
         &self.at
+    }
+
+    /// Returns all addresses, in order of preference.
+    pub fn addresses(&self) -> impl Iterator<Item = &LinkTarget> {
+        [&self.at].into_iter().chain(&self.also)
     }
 
     pub fn switch(&self) -> Option<Name> {
@@ -169,6 +187,7 @@ impl Token {
             invite: self.invite.clone(),
             key: *self.key.secret_bytes(),
             at: self.at.to_string(),
+            also: self.also.iter().map(ToString::to_string).collect(),
             switch: self.switch,
             enrolling: self.enrolling.clone(),
         };
@@ -190,8 +209,10 @@ impl Token {
             cbor::decode(&bytes, MAX_TOKEN).map_err(|_| TokenError::Damaged("not an invitation".into()))?;
         let damaged = |what: &str| TokenError::Damaged(what.into());
         let key = SigningKey::from_secret_bytes(&form.key).map_err(|_| damaged("its key is none"))?;
-        let at = form.at.parse().map_err(|_| damaged("it names no place to dial"))?;
-        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?;
+        let address = |text: &String| text.parse().map_err(|_| damaged("it names no address to dial"));
+        let at = address(&form.at)?;
+        let also = form.also.iter().map(address).collect::<Result<_, _>>()?;
+        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?.also(also);
         Ok(match form.enrolling.clone() {
             Some(enrolling) => token.enroll(enrolling)?,
             None => token,

@@ -134,13 +134,19 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
             (None, None)
         }
     };
+    let udp_addr = udp.as_ref().and_then(|(_, port)| port.udp_addr());
+    let tls = match config.tls.zip(udp_addr) {
+        Some((bind, udp)) => Some(ports::open_tls(&daemon, bind, udp).await?),
+        None => None,
+    };
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);
     }
     let mut ready = Ready {
         switch: daemon.name,
         rib: config.rib,
-        udp: udp.as_ref().and_then(|(_, port)| port.udp_addr()),
+        udp: udp_addr,
+        tls: tls.as_ref().and_then(|listener| listener.local_addr().ok()),
         ethernet: Vec::new(),
         awaited: Vec::new(),
         planes: Vec::new(),
@@ -156,10 +162,13 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
-        port.udp_addr().map(|addr| daemon.udp.set(addr));
+        udp_addr.map(|addr| daemon.udp.set(addr));
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
         let wanted = daemon.core().rib_client.peerings.subscribe();
         daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));
+    }
+    if let Some(listener) = tls {
+        daemon.spawn(listener.run());
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));

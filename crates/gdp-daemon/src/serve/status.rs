@@ -94,7 +94,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
         interfaces,
         dpdk_processor_time_us: dpdk_processor_time.iter().map(|time| time.as_micros() as u64).collect(),
         udp: daemon.udp.get().copied(),
-        links: links(&core),
+        links: links(daemon, &core),
         links_in_grace: links_in_grace(&core),
         handshakes: handshakes(daemon.port_config.handshakes.read()),
         counters,
@@ -140,7 +140,7 @@ fn control(core: &Core) -> ControlStatus {
 }
 
 /// Returns the output of `gdp-ctl link list`: every live link, by id.
-pub fn links(core: &Core) -> Vec<LinkStatus> {
+pub fn links(daemon: &Daemon, core: &Core) -> Vec<LinkStatus> {
     let mut links: Vec<_> = core.switch.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
     let Adjacencies { neighbours: mut costs, borders, .. } = core.neighbours.adjacencies(&core.switch);
@@ -158,7 +158,7 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
             domain: foreign(&state.admission.relationship),
             admitted_until: (state.admission.until < u64::MAX).then_some(state.admission.until),
             via: state.via.to_string(),
-            address: link.addr().to_string(),
+            address: daemon.shown_address(link),
             id,
             mtu: link.mtu(),
             key_generations: KeyGenerations { rx, tx },

@@ -80,6 +80,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let terms = options.terms()?;
     let (label, is_standing) = (terms.label.clone(), terms.role == roles::APPLICANT);
     let (token, claims) = home.invite(terms, address.target()?, &address)?;
+    let token = token.also(address.tls_targets()?);
     let line = token.to_line();
     let Invite { not_after: use_until, member_until, .. } = claims;
     if !context.output.json {

@@ -47,6 +47,13 @@ pub struct Options {
     /// Address and port for links over UDP. Default: as before, else 0.0.0.0:31415.
     #[arg(long, value_name = "ADDRESS:PORT")]
     udp: Option<SocketAddr>,
+    /// Also take links over TLS, for members whose networks let no UDP out. Default: as before; without
+    /// an address, 0.0.0.0:443.
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "0.0.0.0:443")]
+    tls: Option<SocketAddr>,
+    /// Take no links over TLS, now and later.
+    #[arg(long, conflicts_with = "tls")]
+    no_tls: bool,
     /// Attach no XDP program, now and later; forward in userspace.
     #[arg(long)]
     no_xdp: bool,
@@ -60,8 +67,8 @@ pub struct Options {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let socket = context.socket.as_deref();
-    let made =
-        home.create(&DomainOptions { at: options.at.as_deref(), udp: options.udp, no_xdp: options.no_xdp, socket })?;
+    let Options { udp, tls, no_tls, no_xdp, .. } = *options;
+    let made = home.create(&DomainOptions { at: options.at.as_deref(), udp, tls, no_tls, no_xdp, socket })?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -251,12 +258,13 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
         true => format!("members' topics under /LABEL; {}", home.server_config().display()),
         false => "none".to_owned(),
     };
+    let tls = address.tls.map_or(String::new(), |tls| format!(", TCP {tls} for TLS"));
     terminal::print([
         format!(
             "Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)",
             made.domain
         ),
-        format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, address.udp),
+        format!("Switch    {:#} with the RIB; UDP {} is open{tls} ({xdp})", made.switch, address.udp),
         format!("Members   dial {}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
         "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
