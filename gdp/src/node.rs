@@ -137,7 +137,14 @@ impl Node {
                         failure = Some((lane, error));
                     }
                 }
-                None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
+                None => {
+                    let status = handle.state.send_path.links.status();
+                    return Err(match failure {
+                        Some((_, NodeError::Detached(_))) if status.len() > 1 => NodeError::unreachable(&status),
+                        Some((_, error)) => error,
+                        None => NodeError::Closed,
+                    });
+                }
             }
         }
         let send_path = handle.state.send_path.clone();

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use gdp_wire::Name;
 
+use super::link_status::LinkStatus;
 use super::statement::Stated;
 use gdp_core::cert::CertError;
 use gdp_core::domain::DomainError;
@@ -69,6 +70,12 @@ pub enum NodeError {
 }
 
 impl NodeError {
+    /// Returns the error of a node none of whose links is up, with the reason of each.
+    pub(super) fn unreachable(links: &[LinkStatus]) -> Self {
+        let reason = |link: &LinkStatus| format!("{}: {}", link.target, link.reason.as_deref().unwrap_or("up"));
+        Self::Detached(links.iter().map(reason).collect::<Vec<_>>().join("; "))
+    }
+
     /// Returns whether a later attempt may succeed. Otherwise the same operation fails in the same
     /// way.
     pub fn may_pass(&self) -> bool {

@@ -271,9 +271,12 @@ impl Links {
         let _ = tokio::time::timeout(timeout, changes.wait_for(|table| table.lanes[lane].is_silent())).await;
     }
 
-    /// Waits until no link that is preferred to this one has been up for [`UNANSWERED`]. Returns at
-    /// once if this one was the main link until now.
+    /// Waits until no link that is preferred to this one has been up for [`UNANSWERED`]. Each link
+    /// over TLS gets that time before the next one. Returns at once if this one was the main link
+    /// until now.
     pub async fn until_needed(&self, lane: usize) {
+        let is_tls = |slot: &&LinkSlot| matches!(slot.target, LinkTarget::Tls { .. });
+        let timeout = UNANSWERED * self.slots[..=lane].iter().filter(is_tls).count() as u32;
         let mut changes = self.table.subscribe();
         loop {
             // `self` contains the sender of the channel.
@@ -282,7 +285,7 @@ impl Links {
                 return;
             }
             let preferred = changes.wait_for(|table| table.has_preferred(lane));
-            if tokio::time::timeout(UNANSWERED, preferred).await.is_err() {
+            if tokio::time::timeout(timeout, preferred).await.is_err() {
                 return;
             }
         }

@@ -197,6 +197,7 @@ impl Site {
             all_interfaces: false,
             interfaces: Some(on_ethernet.map(|(_, end)| interface(end).into()).collect()),
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
+            tls: None,
             data_plane: self.data_plane,
             dpdk: Default::default(),
             rib: i == 1,

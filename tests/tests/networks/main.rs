@@ -30,6 +30,8 @@ mod onboarding;
 mod pairings;
 mod patient;
 mod planes;
+mod reach;
+mod reach_links;
 mod rekey;
 mod replicas;
 mod replication;

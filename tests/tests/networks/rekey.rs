@@ -82,6 +82,7 @@ impl Scene {
                 all_interfaces: false,
                 interfaces: Some(vec!["l0".into(), "r0".into()]),
                 udp: None,
+                tls: None,
                 data_plane,
                 dpdk: Default::default(),
                 rib: i == 1,

@@ -197,6 +197,7 @@ impl Site {
                     _ => vec![],
                 }),
                 udp: Some(bind.parse()?),
+                tls: None,
                 data_plane,
                 dpdk: DpdkConfig { ports: devices(label), ..DpdkConfig::default() },
                 rib: label == "cloud",

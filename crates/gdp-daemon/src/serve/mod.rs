@@ -48,6 +48,7 @@ use gdp_core::identity::Identity;
 use gdp_dataplane::{PinLocation, PlaneConfig, Planes, Wanted, host_pair};
 use gdp_link::link::LinkIds;
 use gdp_link::port::{Port, PortConfig};
+use gdp_link::tunnel::TlsListener;
 use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
@@ -108,6 +109,10 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let credentials = port_config.credentials.clone();
     let replica = config.etcd.as_ref().map(Replica::new).transpose()?;
     let daemon = Arc::new(Daemon::new(port_config, core, revocations, replica, domain_store));
+    let tls = match config.tls {
+        Some(addr) => Some(TlsListener::bind(addr).await.map_err(|source| StartError::Tls { addr, source })?),
+        None => None,
+    };
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
     let admin = admin::listen(&daemon, &config.socket)?;
@@ -135,10 +140,6 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         }
     };
     let udp_addr = udp.as_ref().and_then(|(_, port)| port.udp_addr());
-    let tls = match config.tls.zip(udp_addr) {
-        Some((bind, udp)) => Some(ports::open_tls(&daemon, bind, udp).await?),
-        None => None,
-    };
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);
     }
@@ -167,8 +168,8 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         let wanted = daemon.core().rib_client.peerings.subscribe();
         daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));
     }
-    if let Some(listener) = tls {
-        daemon.spawn(listener.run());
+    if let Some((listener, udp)) = tls.zip(udp_addr) {
+        daemon.spawn(listener.run(udp, daemon.tunnels.clone()));
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));

@@ -11,7 +11,6 @@ use futures::StreamExt;
 use gdp_core::crypto;
 use gdp_link::link::{Link, LinkError};
 use gdp_link::port::{Interface, LinkAddr, Port};
-use gdp_link::tunnel::TlsListener;
 use gdp_util::backoff::{Backoff, jittered};
 use gdp_wire::Name;
 use tokio::sync::watch;
@@ -57,16 +56,6 @@ pub async fn open_udp(
     };
     port.set_host_pair(pair);
     Ok((port, no_pair))
-}
-
-/// Opens the address for links over TLS, whose datagrams go to the UDP port.
-pub async fn open_tls(
-    daemon: &Daemon,
-    bind: std::net::SocketAddr,
-    udp: std::net::SocketAddr,
-) -> Result<TlsListener, StartError> {
-    let listener = TlsListener::bind(bind, udp, daemon.tunnels.clone()).await;
-    listener.map_err(|source| StartError::Tls { addr: bind, source })
 }
 
 /// Opens the veth interfaces through which local endpoints reach the kernel plane. Fails with the

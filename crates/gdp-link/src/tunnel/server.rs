@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use std::{fs, io};
 
+use gdp_util::descriptors::is_reserved;
 use parking_lot::Mutex;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
@@ -34,7 +35,7 @@ const LOCAL_BITS: u32 = 22;
 /// Accepts tunnels for a switch.
 pub struct TlsListener {
     tcp: TcpListener,
-    tunnels: Arc<Tunnels>,
+    tls: TlsAcceptor,
 }
 
 struct Tunnels {
@@ -48,20 +49,21 @@ struct Tunnels {
 }
 
 impl TlsListener {
-    /// Listens at `bind`, for the switch with this UDP address. `peers` shows the tunnels' peers.
-    pub async fn bind(bind: SocketAddr, switch: SocketAddr, peers: TunnelPeers) -> io::Result<Self> {
+    /// Listens at `addr`, without accepting connections yet.
+    pub async fn bind(addr: SocketAddr) -> io::Result<Self> {
         let tls = TlsAcceptor::from(Arc::new(credentials::server().map_err(io::Error::other)?));
-        let tcp = TcpListener::bind(bind).await?;
-        let (admission, hasher) = (Mutex::default(), RandomState::new());
-        Ok(Self { tcp, tunnels: Arc::new(Tunnels { tls, switch, admission, peers, hasher }) })
+        Ok(Self { tcp: TcpListener::bind(addr).await?, tls })
     }
 
     pub fn local_addr(&self) -> io::Result<SocketAddr> {
         self.tcp.local_addr()
     }
 
-    /// Runs the tunnels. Dropping the future ends them.
-    pub async fn run(self) {
+    /// Runs tunnels to the switch with this UDP address, and shows their peers in `peers`. Dropping
+    /// the future ends them.
+    pub async fn run(self, switch: SocketAddr, peers: TunnelPeers) {
+        let (admission, hasher) = (Mutex::default(), RandomState::new());
+        let tunnels = Arc::new(Tunnels { tls: self.tls, switch, admission, peers, hasher });
         let mut running = JoinSet::new();
         loop {
             while running.try_join_next().is_some() {}
@@ -74,7 +76,8 @@ impl TlsListener {
                 }
             };
             let peer = SocketAddr::new(peer.ip().to_canonical(), peer.port());
-            let Some(admitted) = Admitted::new(&self.tunnels, source_of(peer.ip())) else {
+            let admitted = Admitted::new(&tunnels, source_of(peer.ip()));
+            let Some(admitted) = admitted.filter(|_| !is_reserved(&tcp)) else {
                 tracing::debug!(%peer, "a TLS connection is closed: there are too many");
                 continue;
             };

@@ -94,9 +94,10 @@ impl Scene {
     async fn new(bound: &str) -> Self {
         let switch = UdpSocket::bind(bound).await.unwrap();
         let (peers, bind) = (TunnelPeers::default(), (Ipv4Addr::LOCALHOST, 0).into());
-        let listener = TlsListener::bind(bind, switch.local_addr().unwrap(), peers.clone()).await.unwrap();
+        let listener = TlsListener::bind(bind).await.unwrap();
         let tls = listener.local_addr().unwrap();
-        Self { switch, tls, peers, task: tokio::spawn(listener.run()) }
+        let task = tokio::spawn(listener.run(switch.local_addr().unwrap(), peers.clone()));
+        Self { switch, tls, peers, task }
     }
 
     async fn dial(&self, websocket: bool) -> (UdpSocket, Tunnel) {
