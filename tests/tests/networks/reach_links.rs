@@ -8,7 +8,7 @@
 
 use std::io::Write as _;
 use std::net::TcpStream;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use gdp::{LinkState, LinkStatus, PublishOptions, SubscribeOptions};
@@ -50,9 +50,12 @@ fn a_link_moves_to_udp_when_it_opens_and_back_and_nothing_reliable_is_lost() -> 
     permit(&site.robot.nat)?;
     robot.wait_for_links(|links| is_main(links, 0) && is_down(links, 1))?;
     flow_on(&flows)?;
+    let closed = Instant::now();
     forbid(&site.robot.nat, NO_UDP)?;
     robot.wait_for_links(|links| is_main(links, 1))?;
+    eprintln!("over TLS {:?} after UDP was closed", closed.elapsed());
     flow_on(&flows)?;
+    eprintln!("gaps: {:?}", flows.each_ref().map(|flow| flow.gap_since(closed)));
     permit(&site.robot.nat)?;
     robot.wait_for_links(|links| is_main(links, 0) && is_down(links, 1))?;
     flow_on(&flows)?;
@@ -90,8 +93,8 @@ fn newest_wins_topics_stay_fresh_on_a_slow_link_over_tls() -> Result<()> {
         ensure!(count > sent / 10, "{link}: {count} of {sent}");
         slowest.push(heard.slowest);
     }
-    // A queue that TCP filled would be seconds long.
-    ensure!(slowest[1..].iter().all(|tls| *tls < slowest[0] + Duration::from_secs(1)), "{slowest:?}");
+    // Without the bounds, the queue would grow to seconds.
+    ensure!(slowest[1..].iter().all(|tls| *tls < slowest[0] + Duration::from_secs(2)), "{slowest:?}");
     Ok(())
 }
 

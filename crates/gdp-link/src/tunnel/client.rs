@@ -1,7 +1,7 @@
 //! The side of a tunnel that dials: an endpoint or a relay.
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -103,7 +103,10 @@ async fn connect(
     websocket: bool,
     to: &str,
 ) -> Result<((Incoming, Outgoing), SocketAddr), TunnelError> {
-    let tcp = match HttpProxy::of(&Matcher::from_env(), to)? {
+    // A proxy has another loopback.
+    let is_here = host == "localhost" || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
+    let proxy = if is_here { None } else { HttpProxy::of(&Matcher::from_env(), to)? };
+    let tcp = match proxy {
         None => tcp(host, port).await.map_err(|source| TunnelError::Tcp { to: to.into(), source })?,
         Some(proxy) => {
             let by_proxy = |source| TunnelError::ProxyTcp { proxy: proxy.to_string(), source };
