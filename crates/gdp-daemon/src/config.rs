@@ -16,6 +16,7 @@ use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::crypto::Backend;
 use gdp_core::domain::{CredentialFiles, MAX_PEERS};
 use gdp_core::file_kind::FileKind;
+use gdp_core::link_target::LinkTarget;
 use gdp_link::link::RekeySchedule;
 use gdp_util::yaml;
 use gdp_wire::Name;
@@ -24,7 +25,7 @@ use serde::Deserialize;
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
-use self::listen::{UdpConfig, parse_tls};
+use self::listen::{UdpConfig, parse_tls, parse_tls_target};
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
@@ -120,6 +121,8 @@ pub struct Neighbour {
     /// Whether the neighbour is a border of a parent domain, whose RIB is above this one's. The
     /// order of the list is the order of queries to parents.
     pub parent: bool,
+    /// Where the neighbour is reached over TLS while it does not answer over UDP.
+    pub tls: Option<LinkTarget>,
 }
 
 /// A neighbouring switch and its location.
@@ -135,14 +138,16 @@ pub enum Via {
     /// The neighbour is on the segment of this interface, and discovery finds its address.
     Interface(String),
     Udp(SocketAddr),
+    /// Inside TLS, by a tunnel to this address.
+    Tls(LinkTarget),
 }
 
 impl Via {
-    /// Returns whether both use the same interface, or both use UDP.
+    /// Returns whether both use the same interface, or both use UDP. A tunnel ends at UDP.
     pub fn same_port(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Interface(a), Self::Interface(b)) => a == b,
-            (Self::Udp(_), Self::Udp(_)) => true,
+            (Self::Udp(_) | Self::Tls(_), Self::Udp(_) | Self::Tls(_)) => true,
             _ => false,
         }
     }
@@ -153,6 +158,7 @@ impl fmt::Display for Via {
         match self {
             Self::Interface(name) => f.write_str(name),
             Self::Udp(addr) => write!(f, "udp {addr}"),
+            Self::Tls(target) => write!(f, "{target}"),
         }
     }
 }
@@ -211,7 +217,7 @@ impl Config {
     pub fn named_interfaces(&self) -> Vec<String> {
         let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.address.via {
             Via::Interface(name) => Some(name),
-            Via::Udp(_) => None,
+            Via::Udp(_) | Via::Tls(_) => None,
         });
         let is_dpdk = self.data_plane == DataPlane::Dpdk;
         let ports = self.dpdk.ports.iter().filter(|_| is_dpdk).map(|port| &port.interface);
@@ -314,6 +320,7 @@ struct NeighbourAddressEntry {
     switch: Name,
     interface: Option<String>,
     udp: Option<SocketAddr>,
+    tls: Option<String>,
     cost: Option<u32>,
     #[serde(default)]
     dial: bool,
@@ -449,8 +456,12 @@ impl NeighbourAddressEntry {
         if cost == Some(0) {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
-        let (dial, parent) = (self.dial, self.parent);
-        Ok(Neighbour { address: self.address(key)?, cost, dial, parent })
+        let (dial, parent, tls) = (self.dial, self.parent, self.tls.as_deref());
+        let tls = tls.map(|text| parse_tls_target(key, text)).transpose().map_err(ParseError::Invalid)?;
+        if tls.is_some() && self.udp.is_none() {
+            return Err(ParseError::Invalid(format!("{key}: tls of {} is used beside udp: ADDRESS:PORT", self.switch)));
+        }
+        Ok(Neighbour { address: self.address(key)?, cost, dial: dial || tls.is_some(), parent, tls })
     }
 
     fn address(self, key: &str) -> Result<NeighbourAddress, ParseError> {

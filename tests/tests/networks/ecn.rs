@@ -127,6 +127,7 @@ impl Cable {
         Ok(match self.via(cable, end)? {
             Via::Interface(name) => format!("eth://{name}").parse()?,
             Via::Udp(address) => format!("udp://{address}").parse()?,
+            Via::Tls(target) => target,
         })
     }
 }
@@ -201,7 +202,7 @@ impl Site {
             data_plane: self.data_plane,
             dpdk: Default::default(),
             rib: i == 1,
-            neighbours: vec![Neighbour { address: near, cost: None, dial: false, parent: false }],
+            neighbours: vec![Neighbour { address: near, cost: None, dial: false, parent: false, tls: None }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,

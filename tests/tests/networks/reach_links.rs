@@ -13,11 +13,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use gdp::{LinkState, LinkStatus, PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
-use gdp_daemon::config::Config;
+use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::programs::Program;
 use gdp_tests::wait::{TIMEOUT, wait_for};
+use gdp_wire::Name;
 
 use crate::flows::{Flow, Heard, Party, Topic};
 use crate::inside::{Inside, ROOT};
@@ -67,6 +68,39 @@ fn a_link_moves_to_udp_when_it_opens_and_back_and_nothing_reliable_is_lost() -> 
         ensure!(sequences.iter().copied().eq(1..=sent), "{} of {sent}: {counters:?}", sequences.len());
         eprintln!("{sent} messages, the slowest took {slowest:?}");
     }
+    Ok(())
+}
+
+/// A switch in the robot's network, as a relay is.
+#[test]
+fn a_switch_reaches_another_one_over_tls_until_udp_opens() -> Result<()> {
+    let site = Site::build()?;
+    forbid(&site.robot.nat, NO_UDP)?;
+    let (inside, at) = (Inside::new(&site.robot.inside, ROOT)?, "127.0.0.1:31415");
+    let address = NeighbourAddress { switch: site.name()?, via: Via::Udp("10.9.0.1:31415".parse()?) };
+    let hub = Neighbour { address, cost: None, dial: true, parent: false, tls: Some(TLS.parse()?) };
+    let relay = Config::userspace(site.files.path().join("relay.pem"), "0.0.0.0:31415".parse()?);
+    let relay = inside.run(start(Config { neighbours: vec![hub], ..relay }))?.context("the relay")?;
+    let (robot, cloud) =
+        (site.party(&site.robot.inside, &[&format!("udp://{at}")])?, site.party(&site.cloud.inside, &[CLOUD])?);
+    let open = |from, to| Topic::open(from, to, &[], PublishOptions::reliable(), SubscribeOptions::reliable());
+    let flows = [open(&robot, &cloud)?, open(&cloud, &robot)?].map(|topic| Flow::start(topic, SIZE, PERIOD));
+    flow_on(&flows)?;
+    let link_to_hub = |form: &str| {
+        let links = inside.runtime.block_on(relay.status())["links"].clone();
+        let links = links.as_array().cloned().unwrap_or_default();
+        links.iter().any(|link| link["role"] == "switch" && link["via"].as_str().is_some_and(|via| via.contains(form)))
+    };
+    ensure!(link_to_hub("tls://"));
+    permit(&site.robot.nat)?;
+    wait_for("a link over UDP", TIMEOUT, || Ok(link_to_hub("udp 10.9.0.1").then_some(())))?;
+    flow_on(&flows)?;
+    for flow in flows {
+        let heard = flow.finish()?;
+        ensure!(heard.messages.len() as u64 == heard.sent, "{} of {}", heard.messages.len(), heard.sent);
+    }
+    drop((robot, cloud));
+    inside.runtime.block_on(relay.stop());
     Ok(())
 }
 
@@ -154,7 +188,7 @@ struct Site {
     _server: Namespace,
     robot: BehindNat,
     cloud: BehindNat,
-    _files: tempfile::TempDir,
+    files: tempfile::TempDir,
 }
 
 impl Site {
@@ -164,9 +198,17 @@ impl Site {
         let cloud = BehindNat::new("cloud", &server, "a0", 1)?;
         let inside = Inside::new(&server, ROOT)?;
         let any = Config::userspace(files.path().join("switch.pem"), "0.0.0.0:31415".parse()?);
-        let config = Config { rib: true, tls: Some("[::]:443".parse()?), ..any };
+        let relay = Identity::load_or_generate(&files.path().join("relay.pem"), "switch")?.name();
+        let address = NeighbourAddress { switch: relay, via: Via::Udp("10.9.0.2:31415".parse()?) };
+        let relay = Neighbour { address, cost: None, dial: false, parent: false, tls: None };
+        let config = Config { rib: true, neighbours: vec![relay], tls: Some("[::]:443".parse()?), ..any };
         let running = inside.run(start(config))?.context("the switch")?;
-        Ok(Self { running: Some((running, inside)), _server: server, robot, cloud, _files: files })
+        Ok(Self { running: Some((running, inside)), _server: server, robot, cloud, files })
+    }
+
+    /// Returns the name of the switch.
+    fn name(&self) -> Result<Name> {
+        Ok(self.running.as_ref().context("the switch")?.0.name())
     }
 
     fn party(&self, at: &Namespace, links: &[&str]) -> Result<Party> {

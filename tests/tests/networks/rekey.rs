@@ -86,7 +86,7 @@ impl Scene {
                 data_plane,
                 dpdk: Default::default(),
                 rib: i == 1,
-                neighbours: vec![Neighbour { address: place, cost: None, dial: false, parent: false }],
+                neighbours: vec![Neighbour { address: place, cost: None, dial: false, parent: false, tls: None }],
                 ebpf_object: Some(tools.ebpf_object()?),
                 fib_capacity: 1024,
                 bpffs: None,

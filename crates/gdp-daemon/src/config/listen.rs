@@ -1,7 +1,8 @@
-//! The keys `udp` and `tls`: the addresses at which a switch accepts links.
+//! The addresses at which a switch accepts links, and reaches neighbours over TLS.
 
 use std::net::SocketAddr;
 
+use gdp_core::link_target::LinkTarget;
 use serde::{Deserialize, Deserializer};
 
 /// The `udp` key. Unlike a missing key, `null` turns UDP off.
@@ -25,4 +26,12 @@ impl<'de> Deserialize<'de> for UdpConfig {
 /// Parses the `tls` key.
 pub fn parse_tls(text: &str) -> Result<SocketAddr, String> {
     text.parse().map_err(|_| format!("tls: {text:?} is not an address and port such as 0.0.0.0:443 or [::]:443"))
+}
+
+/// Parses the key `tls` of a neighbour.
+pub fn parse_tls_target(key: &str, text: &str) -> Result<LinkTarget, String> {
+    match text.parse() {
+        Ok(target @ LinkTarget::Tls { .. }) => Ok(target),
+        _ => Err(format!("{key}: tls: {text:?} is not an address such as tls://HOST or wss://HOST:443")),
+    }
 }

@@ -39,7 +39,11 @@ pub fn hello(daemon: &Daemon) -> HelloReply {
 pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
     let found = interfaces::list().await.unwrap_or_default();
     let core = daemon.core();
-    let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let over_udp = core
+        .switch
+        .links
+        .iter()
+        .filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_) | crate::config::Via::Tls(_)));
     let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
     let report = core.switch.planes.report();
     let (losses, mut errors) = match core.switch.planes.losses() {

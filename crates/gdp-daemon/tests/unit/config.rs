@@ -204,6 +204,11 @@ fn what_is_wrong_is_named() {
         ("udp: nowhere", "is not an address and port"),
         ("tls: example.com:443", "tls: \"example.com:443\" is not an address and port"),
         ("udp: null\ntls: 0.0.0.0:443", "need the UDP port"),
+        (
+            &format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, tls: 'udp://a'}}"),
+            "is not an address such as tls://HOST",
+        ),
+        (&format!("uplink: {{interface: l0, switch: {S}, tls: 'tls://a'}}"), "is used beside udp"),
         ("public: [a, b]", "invalid socket address"),
         (&format!("public: [{}]", ["'192.0.2.1:9'"; 9].join(", ")), "at most 8"),
         ("data_plane: fast", "fast"),
