@@ -355,19 +355,13 @@ impl Links {
 
     /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, now: u64, lane: usize, silent: bool) -> Option<Rerouted> {
-        self.change(now, lane, |lane| {
-            lane.silent = silent;
-            false
-        })
+        self.change(now, lane, |lane| std::mem::replace(&mut lane.silent, silent) != silent)
     }
 
     /// Sets whether this machine has changed networks without an answer from the switch since.
     /// Applies to a link that is up.
     pub fn set_moved(&self, now: u64, lane: usize, moved: bool) -> Option<Rerouted> {
-        self.change(now, lane, |lane| {
-            lane.moved = moved;
-            false
-        })
+        self.change(now, lane, |lane| std::mem::replace(&mut lane.moved, moved) != moved)
     }
 
     /// Closes all links for sending.

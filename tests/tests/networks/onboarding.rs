@@ -276,7 +276,9 @@ impl Scene {
     pub fn join_command(&self, label: &str, line: &str, at: &Namespace) -> Result<Command> {
         let mut command = at.command(self.tools.gdp_proxy()?)?;
         command.args(["join", "--dir"]).arg(self.files.path().join(label)).env("GDP_INVITATION", line);
-        ["HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"].map(|proxy| drop(command.env_remove(proxy)));
+        for proxy in ["HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"] {
+            command.env_remove(proxy);
+        }
         Ok(command)
     }
 

@@ -54,6 +54,7 @@ fn a_link_moves_to_udp_when_it_opens_and_back_and_nothing_reliable_is_lost() -> 
     let closed = Instant::now();
     forbid(&site.robot.nat, NO_UDP)?;
     robot.wait_for_links(|links| is_main(links, 1))?;
+    // Half a second until the silence is noticed, 2 s without a preferred link, and the handshakes.
     eprintln!("over TLS {:?} after UDP was closed", closed.elapsed());
     flow_on(&flows)?;
     eprintln!("gaps: {:?}", flows.each_ref().map(|flow| flow.gap_since(closed)));
@@ -128,7 +129,7 @@ fn newest_wins_topics_stay_fresh_on_a_slow_link_over_tls() -> Result<()> {
         slowest.push(heard.slowest);
     }
     // Without the bounds, the queue would grow to seconds.
-    ensure!(slowest[1..].iter().all(|tls| *tls < slowest[0] + Duration::from_secs(2)), "{slowest:?}");
+    ensure!(slowest[1..].iter().all(|tls| *tls < slowest[0] + Duration::from_secs(3)), "{slowest:?}");
     Ok(())
 }
 

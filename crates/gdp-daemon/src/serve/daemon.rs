@@ -100,7 +100,7 @@ impl Daemon {
 
     /// Returns the address of a link's peer, for people. Over TLS it is the real one, not that of
     /// the tunnel's loopback socket.
-    pub fn shown_address(&self, link: &Link) -> String {
+    pub fn peer_address(&self, link: &Link) -> String {
         let addr = link.addr();
         let peer = if let LinkAddr::Udp(addr) = addr { self.tunnels.get(addr) } else { None };
         peer.map_or_else(|| addr.to_string(), |peer| format!("tls:{peer}"))

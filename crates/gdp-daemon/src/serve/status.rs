@@ -162,7 +162,7 @@ pub fn links(daemon: &Daemon, core: &Core) -> Vec<LinkStatus> {
             domain: foreign(&state.admission.relationship),
             admitted_until: (state.admission.until < u64::MAX).then_some(state.admission.until),
             via: state.via.to_string(),
-            address: daemon.shown_address(link),
+            address: daemon.peer_address(link),
             id,
             mtu: link.mtu(),
             key_generations: KeyGenerations { rx, tx },

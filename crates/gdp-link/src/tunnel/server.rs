@@ -107,8 +107,8 @@ impl Admitted {
         let (from, switch) = self.tunnels.path(self.source);
         let socket = UdpSocket::bind((from, 0)).await?;
         socket.connect(switch).await?;
-        let shown = Shown { peers: &self.tunnels.peers, local: socket.local_addr()? };
-        shown.peers.add(shown.local, peer);
+        let listed = ListedPeer { peers: &self.tunnels.peers, local: socket.local_addr()? };
+        listed.peers.add(listed.local, peer);
         pump::run(datagrams, socket).await
     }
 
@@ -133,12 +133,12 @@ impl Drop for Admitted {
 }
 
 /// An entry of the peers, until it is dropped.
-struct Shown<'a> {
+struct ListedPeer<'a> {
     peers: &'a TunnelPeers,
     local: SocketAddr,
 }
 
-impl Drop for Shown<'_> {
+impl Drop for ListedPeer<'_> {
     fn drop(&mut self) {
         self.peers.remove(self.local);
     }

@@ -47,8 +47,8 @@ pub struct Options {
     /// Address and port for links over UDP. Default: as before, else 0.0.0.0:31415.
     #[arg(long, value_name = "ADDRESS:PORT")]
     udp: Option<SocketAddr>,
-    /// Also take links over TLS, for members whose networks let no UDP out. Default: as before; without
-    /// an address, 0.0.0.0:443.
+    /// Also take links over TLS, for members whose networks let no UDP out; without an address, at
+    /// 0.0.0.0:443. Default: as before.
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "0.0.0.0:443")]
     tls: Option<SocketAddr>,
     /// Take no links over TLS, now and later.
@@ -259,13 +259,14 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
         false => "none".to_owned(),
     };
     let tls = address.tls.map_or(String::new(), |tls| format!(", TCP {tls} for TLS"));
+    let over_tls = address.tls_targets()?.first().map_or(String::new(), |target| format!(", else {target}"));
     terminal::print([
         format!(
             "Domain    {:#}, {state}, with {members} members; its key: {folder}/domain.pem (keep a copy)",
             made.domain
         ),
         format!("Switch    {:#} with the RIB; UDP {} is open{tls} ({xdp})", made.switch, address.udp),
-        format!("Members   dial {}; another address: --at HOST", address.at),
+        format!("Members   dial {}{over_tls}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
         "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
     ])
