@@ -18,6 +18,7 @@ use gdp_core::cert::{
 };
 use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
 use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, SERVER, directory_card, fingerprint, join_card};
@@ -161,6 +162,7 @@ impl Home {
         node.close().await;
         let Approval { invite, enrollment, call } = approval;
         let approved = Token::new(*token.domain(), invite, key, token.at().clone(), token.switch())?;
+        let approved = approved.also(token.addresses().skip(1).cloned().collect());
         Ok(approved.with_successor(token.successor()).enroll(Enrolling { enrollment, call })?)
     }
 
@@ -324,10 +326,13 @@ fn offer(owner: &SigningKey, card: &NameCard, entity: Name, enrollment: &Enrollm
 /// Attaches at the switch that the invitation names.
 async fn connect(token: &Token, identity: &Identity, membership: Membership) -> Result<Node> {
     let credentials = Some(Credentials { membership, peers: Vec::new() });
-    let links = vec![LinkConfig { target: token.at().clone(), switch: token.switch(), budget: None }];
+    let link = |target: &LinkTarget| LinkConfig { target: target.clone(), switch: token.switch(), budget: None };
+    let links = token.addresses().map(link).collect();
     let config = NodeConfig { links, credentials, ..NodeConfig::new(identity.clone(), token.at().clone()) };
     Node::connect(config).await.with_context(|| {
-        format!("no way into the domain at {}; is its switch running, and UDP open on the way?", token.at())
+        let addresses: Vec<_> = token.addresses().map(ToString::to_string).collect();
+        let tls = if addresses.len() > 1 { "" } else { " Where no UDP passes, the server needs `gdp-ctl up --tls`" };
+        format!("no path to the domain at {}; is its switch running, and the port open?{tls}", addresses.join(" or "))
     })
 }
 
@@ -364,7 +369,8 @@ async fn ask_client(client: &Client, request: &[u8]) -> Result<bytes::Bytes, Nod
 fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let quoted = |text: &str| escape_json(&serde_json::json!(text).to_string()).into_owned();
     let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
-    let to = quoted(&token.at().to_string());
+    let link = |to: &LinkTarget| format!("{{to: {}{switch}}}", quoted(&to.to_string()));
+    let links = token.addresses().map(link).collect::<Vec<_>>().join(", ");
     let list = |wanted: &str| {
         let of_kind = enrollment.expose.iter().map(|pattern| split_kind(pattern)).filter(|(kind, _)| *kind == wanted);
         of_kind.map(|(_, pattern)| quoted(pattern)).collect::<Vec<_>>().join(", ")
@@ -374,7 +380,7 @@ fn configuration(token: &Token, enrollment: &Enrollment) -> String {
     let (topics, calls) = (list(""), calls.map(|(key, list)| format!(", {key}: [{list}]")).collect::<String>());
     let export = if enrollment.label == SERVER { ", export: true" } else { "" };
     format!(
-        "version: 1\nidentity: proxy.pem\nlinks: [{{to: {to}{switch}}}]\nstate: state\n\
+        "version: 1\nidentity: proxy.pem\nlinks: [{links}]\nstate: state\n\
          domain: {{card: domain.card, membership: membership}}\n\
          directory: {{card: directory.card, grant: directory.grant{export}}}\n\
          expose: {{owner: owner.pem, catalog: catalog.card, topics: [{topics}]{calls}}}\n"

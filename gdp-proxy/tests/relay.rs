@@ -134,7 +134,7 @@ impl Site {
         let mut member = "domain: {card: domain.card, membership: robot.member}\n";
         if !in_domain {
             let place = NeighbourAddress { switch: relay, via: Via::Udp(relay_addr) };
-            hub.neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false }];
+            hub.neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false, tls: None }];
             (hub.domain, member) = (None, "");
         }
         let hub = start(hub).await.unwrap();

@@ -23,6 +23,7 @@ mod immediate_sender;
 mod inbox;
 mod ingress;
 mod latched;
+mod link_status;
 mod link_tasks;
 mod links;
 mod message_batch;
@@ -88,7 +89,7 @@ pub use ending::Ended;
 pub use error::{NodeError, Unflushed};
 pub use feedback::{Feedback, FrameError};
 pub use immediate_sender::ImmediateSender;
-pub use links::{LinkState, LinkStatus};
+pub use link_status::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
 pub use publisher::Publisher;
 pub use service_instances::Instance;
@@ -136,7 +137,14 @@ impl Node {
                         failure = Some((lane, error));
                     }
                 }
-                None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
+                None => {
+                    let status = handle.state.send_path.links.status();
+                    return Err(match failure {
+                        Some((_, NodeError::Detached(_))) if status.len() > 1 => NodeError::unreachable(&status),
+                        Some((_, error)) => error,
+                        None => NodeError::Closed,
+                    });
+                }
             }
         }
         let send_path = handle.state.send_path.clone();

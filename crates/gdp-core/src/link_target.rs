@@ -1,5 +1,5 @@
-//! Address of a node's switch, as written in configurations: `eth://INTERFACE[/MAC]` or
-//! `udp://HOST[:PORT][%INTERFACE]`.
+//! Address of a node's switch, as written in configurations: `eth://INTERFACE[/MAC]`,
+//! `udp://HOST[:PORT][%INTERFACE]`, `tls://HOST[:PORT]` or `wss://HOST[:PORT]`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,7 +15,13 @@ pub enum LinkTarget {
     /// Host name or address, and a port. With an interface, only that one is used, whatever the
     /// routing table prefers.
     Udp { host: String, port: u16, interface: Option<String> },
+    /// Host name or address, and a TCP port. The datagrams of the link are inside TLS, and in a
+    /// WebSocket if `websocket`.
+    Tls { host: String, port: u16, websocket: bool },
 }
+
+/// The TCP port of links over TLS, if none is named: that of HTTPS.
+pub const TLS_PORT: u16 = 443;
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LinkTargetError {
@@ -23,7 +29,7 @@ pub enum LinkTargetError {
     Similar { text: String, meant: LinkTarget },
     #[error(
         "\"{0}\" is no link: expected eth://INTERFACE, eth://INTERFACE/02:00:00:00:00:01, udp://HOST, \
-         udp://HOST:PORT or udp://HOST:PORT%INTERFACE"
+         udp://HOST:PORT, udp://HOST:PORT%INTERFACE, tls://HOST, tls://HOST:PORT or wss://HOST:PORT"
     )]
     Unknown(String),
 }
@@ -35,6 +41,8 @@ impl FromStr for LinkTarget {
         let parsed = match text.split_once("://") {
             Some(("eth", rest)) => parse_ethernet(rest),
             Some(("udp", rest)) => parse_udp(rest),
+            Some(("tls", rest)) => parse_tls(rest, false),
+            Some(("wss", rest)) => parse_tls(rest, true),
             _ => None,
         };
         parsed.ok_or_else(|| {
@@ -50,7 +58,7 @@ impl FromStr for LinkTarget {
 /// Returns the link over UDP to the address or host in a text without `udp://`, if it has one.
 fn similar(text: &str) -> Option<LinkTarget> {
     let address = match text.split_once("://") {
-        Some(("eth" | "udp", _)) => return None,
+        Some(("eth" | "udp" | "tls" | "wss", _)) => return None,
         Some((_, address)) => address,
         None => text,
     };
@@ -75,6 +83,21 @@ fn parse_udp(rest: &str) -> Option<LinkTarget> {
         Some((rest, interface)) => (rest, Some(interface)),
         None => (rest, None),
     };
+    let (host, port) = parse_host(rest, gdp_wire::UDP_PORT)?;
+    interface.is_none_or(is_interface).then(|| LinkTarget::Udp {
+        host: host.into(),
+        port,
+        interface: interface.map(String::from),
+    })
+}
+
+fn parse_tls(rest: &str, websocket: bool) -> Option<LinkTarget> {
+    let (host, port) = parse_host(rest, TLS_PORT)?;
+    Some(LinkTarget::Tls { host: host.into(), port, websocket })
+}
+
+/// Parses `HOST`, `HOST:PORT` or the same with an IPv6 address in brackets.
+fn parse_host(rest: &str, default_port: u16) -> Option<(&str, u16)> {
     let (host, port) = match rest.strip_prefix('[') {
         Some(bracketed) => {
             let (host, behind) = bracketed.split_once(']')?;
@@ -86,10 +109,9 @@ fn parse_udp(rest: &str) -> Option<LinkTarget> {
             None => (rest, None),
         },
     };
-    let port = port.map_or(Some(gdp_wire::UDP_PORT), |port| port.parse().ok().filter(|port| *port != 0))?;
+    let port = port.map_or(Some(default_port), |port| port.parse().ok().filter(|port| *port != 0))?;
     let valid = !host.is_empty() && host.len() < 256 && !host.contains(|c: char| c.is_whitespace() || c == '/');
-    let valid = valid && interface.is_none_or(is_interface);
-    valid.then(|| LinkTarget::Udp { host: host.into(), port, interface: interface.map(String::from) })
+    valid.then_some((host, port))
 }
 
 impl fmt::Display for LinkTarget {
@@ -97,14 +119,19 @@ impl fmt::Display for LinkTarget {
         match self {
             Self::Ethernet { interface, mac: None } => write!(f, "eth://{interface}"),
             Self::Ethernet { interface, mac: Some(mac) } => write!(f, "eth://{interface}/{}", DisplayMac(*mac)),
+            Self::Tls { host, port, websocket } => write_host(f, if *websocket { "wss" } else { "tls" }, host, *port),
             Self::Udp { host, port, interface } => {
-                match host.contains(':') {
-                    true => write!(f, "udp://[{host}]:{port}")?,
-                    false => write!(f, "udp://{host}:{port}")?,
-                }
+                write_host(f, "udp", host, *port)?;
                 interface.iter().try_for_each(|interface| write!(f, "%{interface}"))
             }
         }
+    }
+}
+
+fn write_host(f: &mut fmt::Formatter, scheme: &str, host: &str, port: u16) -> fmt::Result {
+    match host.contains(':') {
+        true => write!(f, "{scheme}://[{host}]:{port}"),
+        false => write!(f, "{scheme}://{host}:{port}"),
     }
 }
 

@@ -5,6 +5,7 @@
 mod domain;
 mod dpdk;
 mod etcd;
+mod listen;
 
 use std::collections::HashSet;
 use std::io::Read;
@@ -15,17 +16,19 @@ use std::{fmt, fs};
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::crypto::Backend;
 use gdp_core::file_kind::FileKind;
+use gdp_core::link_target::LinkTarget;
 use gdp_link::link::RekeySchedule;
 use gdp_util::yaml;
 use gdp_wire::Name;
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer};
+use serde::Deserialize;
 
 use self::domain::DomainEntry;
 pub use self::domain::{DomainConfig, Inside};
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
+use self::listen::{UdpConfig, parse_tls, parse_tls_target};
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
@@ -49,6 +52,8 @@ pub struct Config {
     pub all_interfaces: bool,
     /// The address that accepts links over UDP, if any.
     pub udp: Option<SocketAddr>,
+    /// The TCP address that accepts links over TLS, if any.
+    pub tls: Option<SocketAddr>,
     pub data_plane: DataPlane,
     /// The settings of the DPDK plane.
     pub dpdk: DpdkConfig,
@@ -98,6 +103,8 @@ pub struct Neighbour {
     /// Whether the neighbour is a border of a parent domain, whose RIB is above this one's. The
     /// order of the list is the order of queries to parents.
     pub parent: bool,
+    /// Where the neighbour is reached over TLS while it does not answer over UDP.
+    pub tls: Option<LinkTarget>,
 }
 
 /// A neighbouring switch and its location.
@@ -113,14 +120,16 @@ pub enum Via {
     /// The neighbour is on the segment of this interface, and discovery finds its address.
     Interface(String),
     Udp(SocketAddr),
+    /// Inside TLS, by a tunnel to this address.
+    Tls(LinkTarget),
 }
 
 impl Via {
-    /// Returns whether both use the same interface, or both use UDP.
+    /// Returns whether both use the same interface, or both use UDP. A tunnel ends at UDP.
     pub fn same_port(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Interface(a), Self::Interface(b)) => a == b,
-            (Self::Udp(_), Self::Udp(_)) => true,
+            (Self::Udp(_) | Self::Tls(_), Self::Udp(_) | Self::Tls(_)) => true,
             _ => false,
         }
     }
@@ -131,6 +140,7 @@ impl fmt::Display for Via {
         match self {
             Self::Interface(name) => f.write_str(name),
             Self::Udp(addr) => write!(f, "udp {addr}"),
+            Self::Tls(target) => write!(f, "{target}"),
         }
     }
 }
@@ -156,6 +166,7 @@ impl Config {
             interfaces: Some(Vec::new()),
             all_interfaces: false,
             udp: Some(udp),
+            tls: None,
             data_plane: DataPlane::Userspace,
             dpdk: DpdkConfig::default(),
             rib: false,
@@ -188,7 +199,7 @@ impl Config {
     pub fn named_interfaces(&self) -> Vec<String> {
         let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.address.via {
             Via::Interface(name) => Some(name),
-            Via::Udp(_) => None,
+            Via::Udp(_) | Via::Tls(_) => None,
         });
         let is_dpdk = self.data_plane == DataPlane::Dpdk;
         let ports = self.dpdk.ports.iter().filter(|_| is_dpdk).map(|port| &port.interface);
@@ -262,6 +273,9 @@ struct File {
     /// Address and port of links over UDP, by default `0.0.0.0:31415`. `null` turns UDP off.
     #[schemars(with = "Option<String>")]
     udp: UdpConfig,
+    /// TCP address and port of links over TLS, such as `0.0.0.0:443`, for networks without UDP. It
+    /// needs `udp`.
+    tls: Option<String>,
     /// The data plane, by default `auto`.
     data_plane: DataPlane,
     /// The devices and the resources of the DPDK plane.
@@ -292,24 +306,6 @@ struct File {
     crypto: Option<Backend>,
 }
 
-/// The `udp` key. Unlike a missing key, `null` turns UDP off.
-#[derive(Debug, Default)]
-enum UdpConfig {
-    #[default]
-    Absent,
-    Off,
-    On(SocketAddr),
-}
-
-impl<'de> Deserialize<'de> for UdpConfig {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let addr = Option::<String>::deserialize(deserializer)?;
-        let Some(addr) = addr else { return Ok(Self::Off) };
-        let problem = |_| format!("udp: {addr:?} is not an address and port such as 0.0.0.0:31415 or [::]:31415");
-        addr.parse().map(Self::On).map_err(problem).map_err(serde::de::Error::custom)
-    }
-}
-
 /// A neighbouring switch, at an interface or at an address: one of the two.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -321,6 +317,9 @@ struct NeighbourAddressEntry {
     /// Its address and port.
     #[schemars(with = "Option<String>")]
     udp: Option<SocketAddr>,
+    /// Beside `udp`: where it is reached over TLS while UDP does not answer, such as `tls://HOST` or
+    /// `wss://HOST:443`.
+    tls: Option<String>,
     /// The cost of the link, at least 1. By default it follows from the round-trip time.
     cost: Option<u32>,
     /// Makes the link from this side. Otherwise the switch with the smaller name does.
@@ -376,6 +375,10 @@ impl File {
             let switch = over_udp.address.switch;
             return invalid(format!("udp: null turns UDP off, but the neighbour {switch} is reached over it"));
         }
+        let tls = self.tls.map(|text| parse_tls(&text)).transpose().map_err(ParseError::Invalid)?;
+        if tls.is_some() && matches!(self.udp, UdpConfig::Off) {
+            return invalid("tls: links over TLS need the UDP port, which udp: null turns off; remove one".into());
+        }
         if let Some(interfaces) = &self.interfaces {
             for neighbour in &neighbours {
                 if let Via::Interface(name) = &neighbour.address.via
@@ -422,6 +425,7 @@ impl File {
                 UdpConfig::Off => None,
                 UdpConfig::On(addr) => Some(addr),
             },
+            tls,
             data_plane: self.data_plane,
             dpdk,
             rib,
@@ -444,8 +448,12 @@ impl NeighbourAddressEntry {
         if cost == Some(0) {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
-        let (dial, parent) = (self.dial, self.parent);
-        Ok(Neighbour { address: self.address(key)?, cost, dial, parent })
+        let (dial, parent, tls) = (self.dial, self.parent, self.tls.as_deref());
+        let tls = tls.map(|text| parse_tls_target(key, text)).transpose().map_err(ParseError::Invalid)?;
+        if tls.is_some() && self.udp.is_none() {
+            return Err(ParseError::Invalid(format!("{key}: tls of {} is used beside udp: ADDRESS:PORT", self.switch)));
+        }
+        Ok(Neighbour { address: self.address(key)?, cost, dial: dial || tls.is_some(), parent, tls })
     }
 
     fn address(self, key: &str) -> Result<NeighbourAddress, ParseError> {

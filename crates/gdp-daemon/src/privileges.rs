@@ -3,6 +3,7 @@
 
 use std::ffi::CString;
 use std::io;
+use std::net::SocketAddr;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -49,7 +50,8 @@ pub fn restrict(config: &Config) -> Result<(), PrivilegesError> {
 }
 
 fn needed(config: &Config) -> Vec<Capability> {
-    let low_port = config.udp.is_some_and(|udp| (1..FIRST_UNPRIVILEGED_PORT).contains(&udp.port()));
+    let is_low = |addr: SocketAddr| (1..FIRST_UNPRIVILEGED_PORT).contains(&addr.port());
+    let low_port = [config.udp, config.tls].into_iter().flatten().any(is_low);
     capabilities::SWITCH.into_iter().chain(low_port.then_some(capabilities::NET_BIND_SERVICE)).collect()
 }
 

@@ -17,7 +17,7 @@ mod host;
 mod misdelivered;
 mod route_mtu;
 mod send;
-mod sys;
+pub(crate) mod sys;
 mod udp;
 #[cfg(test)]
 #[path = "../tests/unit/port/udp_tests.rs"]

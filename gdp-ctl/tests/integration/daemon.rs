@@ -281,7 +281,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     let (near, far) = (Identity::generate("switch").unwrap(), Identity::generate("switch").unwrap());
     let mut config = config(folder.path(), "s1");
     let place = NeighbourAddress { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
-    config.neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false }];
+    config.neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false, tls: None }];
     let switch = start(config).await.unwrap();
     let to = LinkAddr::udp(switch.udp_addr().unwrap());
     let port = |config| Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();

@@ -84,7 +84,7 @@ impl Rib {
         let folder = tempfile::tempdir().unwrap();
         let near = Identity::generate("switch").unwrap();
         let place = NeighbourAddress { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
-        let neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false }];
+        let neighbours = vec![Neighbour { address: place, cost: None, dial: false, parent: false, tls: None }];
         let config = Config { rib: false, neighbours, ..config(folder.path(), "s1") };
         let switch = start(config).await.unwrap();
         let to = LinkAddr::udp(switch.udp_addr().unwrap());

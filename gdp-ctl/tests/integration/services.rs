@@ -113,7 +113,8 @@ async fn chain(folder: &std::path::Path) -> [Running; 3] {
     let mut running = Vec::new();
     for (i, place) in places.iter().enumerate() {
         let Via::Udp(addr) = place.via else { unreachable!("over UDP") };
-        let near = |j: usize, dial| Neighbour { address: places[j].clone(), cost: Some(1), dial, parent: false };
+        let near =
+            |j: usize, dial| Neighbour { address: places[j].clone(), cost: Some(1), dial, parent: false, tls: None };
         let before = i.checked_sub(1).map(|j| near(j, true));
         let behind = (i + 1 < places.len()).then(|| near(i + 1, false));
         let neighbours = before.into_iter().chain(behind).collect();

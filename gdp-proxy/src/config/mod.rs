@@ -197,8 +197,9 @@ impl Definitions {
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkEntry {
-    /// Address of the switch: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or
-    /// `udp://HOST:PORT%INTERFACE`.
+    /// Address of the switch: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT`,
+    /// `udp://HOST:PORT%INTERFACE`, `tls://HOST:PORT` or `wss://HOST:PORT`. A link over TLS after
+    /// another link is used only while no earlier one is up.
     #[serde(deserialize_with = "from_text")]
     #[schemars(with = "String")]
     pub to: LinkTarget,

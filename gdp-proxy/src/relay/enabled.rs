@@ -105,7 +105,10 @@ fn neighbours(links: &[LinkEntry]) -> Vec<Neighbour> {
         let Ok(addr) = host.parse::<IpAddr>() else { continue };
         if neighbours.iter().all(|other| other.address.switch != switch) {
             let place = NeighbourAddress { switch, via: Via::Udp(SocketAddr::new(addr, *port)) };
-            neighbours.push(Neighbour { address: place, cost: None, dial: true, parent: false });
+            let over_tls =
+                |other: &&LinkEntry| matches!(other.to, LinkTarget::Tls { .. }) && other.switch == Some(switch);
+            let tls = links.iter().find(over_tls).map(|other| other.to.clone());
+            neighbours.push(Neighbour { address: place, cost: None, dial: true, parent: false, tls });
         }
     }
     neighbours

@@ -19,6 +19,7 @@ use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::Role;
 use gdp_link::link::{Link, LinkError, RekeySchedule};
 use gdp_link::port::{Interface, LinkAddr, Port, PortConfig, interface_index};
+use gdp_link::tunnel::Tunnel;
 
 /// Maximum time for a switch's answer to discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -39,8 +40,11 @@ pub struct Dialler {
     port_config: PortConfig,
     /// Changes of the network since the start of the last attempt.
     changes: Option<watch::Receiver<()>>,
-    /// The latest resolved address of a UDP target's host. `None` if the last lookup failed.
+    /// The latest resolved address of the target's host, or of the proxy to it. `None` if the last
+    /// lookup failed.
     address: Option<SocketAddr>,
+    /// The tunnel of the current link, if the target is behind one.
+    tunnel: Option<Tunnel>,
 }
 
 impl Dialler {
@@ -59,7 +63,18 @@ impl Dialler {
             PortConfig { rekey, lane, through, run: Some(run), credentials, ..PortConfig::endpoint(identity) };
         let changes = network.as_ref().map(|network| network.changes());
         let (port, through, address, path) = (None, None, None, NetworkPath::Unknown);
-        Self { target, port, through, network, path, home, pinned, port_config, changes, address }
+        Self { target, port, through, network, path, home, pinned, port_config, changes, address, tunnel: None }
+    }
+
+    /// Returns the tunnel of the current link, if its datagrams are inside TLS.
+    pub fn tunnel(&self) -> Option<&Tunnel> {
+        self.tunnel.as_ref()
+    }
+
+    /// Returns the address on the network that leads to `to`: the other end of the tunnel, if there
+    /// is one.
+    pub fn outer(&self, to: LinkAddr) -> LinkAddr {
+        self.tunnel.as_ref().map_or(to, |tunnel| LinkAddr::udp(tunnel.remote_addr()))
     }
 
     /// Starts an attempt, and returns the port to dial from and the candidates to dial. Later
@@ -75,7 +90,7 @@ impl Dialler {
     /// Returns whether the address of the target is unknown, so that no route to it can be looked
     /// up.
     pub fn is_blind(&self) -> bool {
-        matches!(self.target, LinkTarget::Udp { .. }) && self.address.is_none()
+        matches!(self.target, LinkTarget::Udp { .. } | LinkTarget::Tls { .. }) && self.address.is_none()
     }
 
     /// Returns when the network has changed such that another attempt may succeed.
@@ -106,6 +121,10 @@ impl Dialler {
                 },
                 Err(_) => NetworkPath::Nowhere,
             },
+            LinkTarget::Tls { .. } => match self.address {
+                Some(to) => network.way(LinkAddr::udp(to), None).await,
+                None => NetworkPath::Unknown,
+            },
         }
     }
 
@@ -128,12 +147,13 @@ impl Dialler {
             };
             let dialled = match self.network.clone() {
                 Some(network) => {
-                    self.path = network.way(*to, self.through).await;
+                    let outer = self.outer(*to);
+                    self.path = network.way(outer, self.through).await;
                     tokio::select! {
                         dialled = dialling => dialled,
                         // Packets on the old network are lost. A new attempt is faster than waiting
                         // for a retransmission.
-                        _ = network.until_other(*to, self.through, &self.path) => {
+                        _ = network.until_other(outer, self.through, &self.path) => {
                             // The current path has not been tried. `Nowhere` makes `news` treat any
                             // path as a change.
                             self.path = NetworkPath::Nowhere;
@@ -213,6 +233,20 @@ impl Dialler {
                 };
                 (self.port, self.through) = (Some(port.clone()), index);
                 Ok((port, vec![(LinkAddr::udp(to), self.pinned)]))
+            }
+            LinkTarget::Tls { host, port: number, websocket } => {
+                (self.tunnel, self.address) = (None, None);
+                let port = match self.port.take() {
+                    Some(port) => port,
+                    None => Arc::new(Port::udp((Ipv4Addr::LOCALHOST, 0).into(), &self.port_config)?),
+                };
+                self.port = Some(port.clone());
+                let own = port.udp_addr().ok_or(NodeError::Protocol("to its own port"))?;
+                let tunnel = Tunnel::open(host, *number, *websocket, own).await?;
+                let to = LinkAddr::udp(tunnel.local_addr());
+                self.address = Some(tunnel.remote_addr());
+                self.tunnel = Some(tunnel);
+                Ok((port, vec![(to, self.pinned)]))
             }
         }
     }

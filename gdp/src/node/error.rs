@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use gdp_wire::Name;
 
+use super::link_status::LinkStatus;
 use super::statement::Stated;
 use gdp_core::cert::CertError;
 use gdp_core::domain::DomainError;
@@ -13,6 +14,7 @@ use gdp_e2e::keys::RingError;
 use gdp_e2e::seal::SealError;
 use gdp_link::link::LinkError;
 use gdp_link::port::LinkAddr;
+use gdp_link::tunnel::TunnelError;
 use gdp_proto::control::{Refusal, RefusalCode};
 
 /// Why a node could not perform an operation.
@@ -20,6 +22,8 @@ use gdp_proto::control::{Refusal, RefusalCode};
 pub enum NodeError {
     #[error(transparent)]
     Link(#[from] LinkError),
+    #[error(transparent)]
+    Tunnel(#[from] TunnelError),
     #[error(transparent)]
     Domain(#[from] DomainError),
     #[error("no answer from {wanted} on interface {interface}; is it running there, and is the cable plugged in?")]
@@ -66,6 +70,12 @@ pub enum NodeError {
 }
 
 impl NodeError {
+    /// Returns the error of a node none of whose links is up, with the reason of each.
+    pub(super) fn unreachable(links: &[LinkStatus]) -> Self {
+        let reason = |link: &LinkStatus| format!("{}: {}", link.target, link.reason.as_deref().unwrap_or("up"));
+        Self::Detached(links.iter().map(reason).collect::<Vec<_>>().join("; "))
+    }
+
     /// Returns whether a later attempt may succeed. Otherwise the same operation fails in the same
     /// way.
     pub fn may_pass(&self) -> bool {
@@ -74,7 +84,9 @@ impl NodeError {
             Self::Refused(refusal) => {
                 matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
             }
-            Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
+            Self::Link(_) | Self::Tunnel(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => {
+                true
+            }
             // The credentials may be renewed.
             Self::Domain(_) => true,
             Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,

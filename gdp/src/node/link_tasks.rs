@@ -103,6 +103,18 @@ pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>
     }
 }
 
+/// Closes the link when its tunnel has ended.
+pub async fn watch_tunnel(ended: impl Future<Output = ()>, link: Link) {
+    ended.await;
+    link.close("the TLS connection to the switch has ended");
+}
+
+/// Closes a link that is only for the time without a preferred one, once it is not needed.
+pub async fn leave_unneeded(send_path: Arc<SendPath>, attachment: Arc<Attachment>) {
+    send_path.links.until_unneeded(attachment.lane.into()).await;
+    attachment.link.close("a preferred link is up");
+}
+
 /// Limits frames to what the route to the switch takes, after each change of this machine's
 /// networks. QUIC discovers a larger path MTU, but not a smaller one soon.
 pub async fn watch_mtu(network: Arc<Network>, port: Arc<Port>, link: Link) {
@@ -114,12 +126,13 @@ pub async fn watch_mtu(network: Arc<Network>, port: Arc<Port>, link: Link) {
 }
 
 /// Makes the node use other links after the path to the switch has changed, until the switch
-/// answers again. Closes the link if the switch has a path but does not answer.
+/// answers again. Closes the link if the switch has a path but does not answer. `to` and `through`
+/// are those of the path on the network.
 pub async fn watch_moves(
     send_path: Arc<SendPath>,
     network: Arc<Network>,
     port: Arc<Port>,
-    through: Option<u32>,
+    (to, through): (LinkAddr, Option<u32>),
     attachment: Arc<Attachment>,
 ) {
     let (lane, link) = (usize::from(attachment.lane), &attachment.link);
@@ -129,7 +142,7 @@ pub async fn watch_moves(
     };
     let mut path = attachment.path.clone();
     loop {
-        path = network.until_other(link.addr(), through, &path).await;
+        path = network.until_other(to, through, &path).await;
         send_path.set_moved(lane, true);
         let answered = async {
             if path == NetworkPath::Nowhere {
@@ -149,7 +162,7 @@ pub async fn watch_moves(
                 send_path.set_moved(lane, false);
             }
             // Restart with the current path.
-            _ = network.until_other(link.addr(), through, &path) => {}
+            _ = network.until_other(to, through, &path) => {}
         }
     }
 }

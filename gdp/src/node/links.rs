@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::{Header, Name, hop};
-use serde::Serialize;
 use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
 
@@ -16,6 +15,7 @@ use super::choice::{Choice, Fitness};
 use super::config::LinkConfig;
 use super::counters::{Count, Counters, NodeCounters};
 use super::error::NodeError;
+use super::link_status::{LinkState, LinkStatus};
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
 use gdp_link::port::{OutFrame, Sent};
@@ -26,6 +26,13 @@ const OTHERS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Maximum time for which a request waits for a lost link.
 const LINK_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Time without a preferred link after which a link over TLS is dialled.
+const UNANSWERED: Duration = Duration::from_secs(2);
+
+/// Time for which a link over TLS stays after a preferred one has become the main link. What is on
+/// the path still arrives.
+const LEAVING: Duration = Duration::from_secs(2);
 
 /// The state of a link's connection.
 #[derive(Clone)]
@@ -67,36 +74,6 @@ pub struct LinkSlot {
     frames_sent: Count,
     frames_unsent: Count,
     target: LinkTarget,
-}
-
-/// The state and counters of a link.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct LinkStatus {
-    pub target: String,
-    pub state: LinkState,
-    /// Why the link is not up.
-    pub reason: Option<String>,
-    /// Whether this is the main link.
-    pub main: bool,
-    /// The current or last switch at the other end; `None` if the link is down.
-    pub switch: Option<Name>,
-    pub frames_sent: u64,
-    pub frames_unsent: u64,
-    /// Copies among the frames sent, which the main link carried as well. Dropped copies did not
-    /// fit the budget or the MTU, or were still queued when the link was lost.
-    pub copies_sent: u64,
-    pub copies_dropped: u64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LinkState {
-    Up,
-    /// The link is up, but the switch has not answered the latest echoes.
-    Silent,
-    /// The switch became silent; its data plane may continue to forward.
-    Stale,
-    Down,
 }
 
 /// The part of a link's state that changes with its connection.
@@ -163,6 +140,17 @@ impl LinkTable {
     fn second(&self) -> Option<(usize, &Arc<Attachment>)> {
         let second = self.choice.second()?;
         Some((second, self.lanes[second].connection.attachment()?))
+    }
+
+    /// Returns whether a link that is preferred to this one is up.
+    fn has_preferred(&self, lane: usize) -> bool {
+        self.lanes[..lane].iter().any(|lane| lane.fitness() == Fitness::Up)
+    }
+
+    /// Returns whether a link that is preferred to this one is the main link, and up.
+    fn is_unneeded(&self, lane: usize) -> bool {
+        let main = self.choice.main();
+        main < lane && self.lanes[main].fitness() == Fitness::Up
     }
 
     /// Returns which links carry frames.
@@ -283,6 +271,43 @@ impl Links {
         let _ = tokio::time::timeout(timeout, changes.wait_for(|table| table.lanes[lane].is_silent())).await;
     }
 
+    /// Waits until no link that is preferred to this one has been up for [`UNANSWERED`]. Each link
+    /// over TLS gets that time before the next one. Returns at once if this one was the main link
+    /// until now.
+    pub async fn until_needed(&self, lane: usize) {
+        let is_tls = |slot: &&LinkSlot| matches!(slot.target, LinkTarget::Tls { .. });
+        let timeout = UNANSWERED * self.slots[..=lane].iter().filter(is_tls).count() as u32;
+        let mut changes = self.table.subscribe();
+        loop {
+            // `self` contains the sender of the channel.
+            let alone = changes.wait_for(|table| !table.has_preferred(lane)).await;
+            if alone.is_ok_and(|table| table.choice.main() == lane) {
+                return;
+            }
+            let preferred = changes.wait_for(|table| table.has_preferred(lane));
+            if tokio::time::timeout(timeout, preferred).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Waits until a link that is preferred to this one has been the main link for [`LEAVING`].
+    pub async fn until_unneeded(&self, lane: usize) {
+        let mut changes = self.table.subscribe();
+        loop {
+            let _ = changes.wait_for(|table| table.is_unneeded(lane)).await;
+            let needed = changes.wait_for(|table| !table.is_unneeded(lane));
+            if tokio::time::timeout(LEAVING, needed).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Returns whether a link that is preferred to this one is the main link, and up.
+    pub fn is_unneeded(&self, lane: usize) -> bool {
+        self.table.borrow().is_unneeded(lane)
+    }
+
     /// Returns the links to send on now. Copies queued for a link under another epoch must be
     /// dropped.
     pub fn active(&self) -> ActiveLinks {
@@ -330,19 +355,13 @@ impl Links {
 
     /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, now: u64, lane: usize, silent: bool) -> Option<Rerouted> {
-        self.change(now, lane, |lane| {
-            lane.silent = silent;
-            false
-        })
+        self.change(now, lane, |lane| std::mem::replace(&mut lane.silent, silent) != silent)
     }
 
     /// Sets whether this machine has changed networks without an answer from the switch since.
     /// Applies to a link that is up.
     pub fn set_moved(&self, now: u64, lane: usize, moved: bool) -> Option<Rerouted> {
-        self.change(now, lane, |lane| {
-            lane.moved = moved;
-            false
-        })
+        self.change(now, lane, |lane| std::mem::replace(&mut lane.moved, moved) != moved)
     }
 
     /// Closes all links for sending.

@@ -17,16 +17,20 @@ use super::command::{Command, RibUpdate};
 use super::config::LinkConfig;
 use super::dialler::Dialler;
 use super::error::NodeError;
-use super::link_tasks::{ANSWER, keep_stated, watch_moves, watch_mtu, watch_silence};
+use super::link_tasks::{ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_tunnel};
 use super::links::Connection;
 use super::network::Network;
 use super::pause::{BACKOFF, ExpediteToken};
 use super::requests::{answer, update_rib};
 use super::state::State;
+use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
 use gdp_link::link::{LinkError, RekeySchedule};
 use gdp_util::backoff::Backoff;
 use gdp_util::unix_time::unix_nanos;
+
+/// State of a link over TLS that is not dialled.
+const UNNEEDED: &str = "a preferred link is up";
 
 /// A link with a silent switch, in use until this time at the latest.
 struct StaleLink {
@@ -135,6 +139,7 @@ impl Supervisor {
     }
 
     async fn supervise(&mut self, timeout: Duration, first: mpsc::UnboundedSender<(u8, Result<(), NodeError>)>) {
+        self.wait_for_need().await;
         let connected = self.connect(timeout).await;
         if let Err(error) = &connected {
             self.still_lost(error);
@@ -151,6 +156,13 @@ impl Supervisor {
         };
         loop {
             let reason = self.serve(attachment.clone()).await;
+            if self.is_last_resort() && self.state.send_path.links.is_unneeded(self.lane()) {
+                tracing::info!(switch = %self.dialler.target, "a preferred link is up, so the link over TLS is closed");
+                self.state.send_path.set_connection(self.lane(), Connection::Down(UNNEEDED.into()));
+                attachment = self.reconnect(None).await;
+                tracing::info!(switch = %self.dialler.target, "no preferred link is up, so the link over TLS is");
+                continue;
+            }
             tracing::warn!(switch = %self.dialler.target, %reason, "lost the link to the switch");
             self.reason_known = !attachment.link.fell_silent();
             attachment = if attachment.link.fell_silent() {
@@ -184,6 +196,7 @@ impl Supervisor {
         let mut backoff = BACKOFF;
         loop {
             self.pause(&mut backoff).await;
+            self.wait_for_need().await;
             match self.attempt(stale).await {
                 Ok(attachment) => return attachment,
                 Err(error) => {
@@ -191,6 +204,18 @@ impl Supervisor {
                     self.still_lost(&error);
                 }
             }
+        }
+    }
+
+    /// Whether the link is dialled only while no preferred one is up.
+    fn is_last_resort(&self) -> bool {
+        self.lane > 0 && matches!(self.dialler.target, LinkTarget::Tls { .. })
+    }
+
+    /// Waits until the link may be dialled.
+    async fn wait_for_need(&self) {
+        if self.is_last_resort() {
+            self.state.send_path.links.until_needed(self.lane()).await;
         }
     }
 
@@ -208,10 +233,15 @@ impl Supervisor {
         let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(send_path.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
+        let tunnel = self.dialler.tunnel().map(|tunnel| watch_tunnel(tunnel.ended(), attachment.link.clone()));
+        let _tunnel = tunnel.map(|watch| AbortOnDrop(tokio::spawn(watch)));
+        let leave = self.is_last_resort().then(|| leave_unneeded(send_path.clone(), attachment.clone()));
+        let _leave = leave.map(|leave| AbortOnDrop(tokio::spawn(leave)));
+        let outer = self.dialler.outer(attachment.link.addr());
         let Dialler { network, port, through, .. } = &self.dialler;
         let _network = network.clone().zip(port.clone()).map(|(network, port)| {
             let mtu = watch_mtu(network.clone(), port.clone(), attachment.link.clone());
-            let moves = watch_moves(send_path.clone(), network, port, *through, attachment.clone());
+            let moves = watch_moves(send_path.clone(), network, port, (outer, *through), attachment.clone());
             (AbortOnDrop(tokio::spawn(mtu)), AbortOnDrop(tokio::spawn(moves)))
         });
         let (at, home) = (attachment.link.clone(), state.home.clone());

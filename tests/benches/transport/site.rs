@@ -67,6 +67,7 @@ impl Site {
             interfaces: Some(vec!["l0".into(), "r0".into()]),
             all_interfaces: false,
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
+            tls: None,
             data_plane: DataPlane::Xdp,
             dpdk: Default::default(),
             rib: true,

@@ -127,6 +127,7 @@ impl Cable {
         Ok(match self.via(cable, end)? {
             Via::Interface(name) => format!("eth://{name}").parse()?,
             Via::Udp(address) => format!("udp://{address}").parse()?,
+            Via::Tls(target) => target,
         })
     }
 }
@@ -197,10 +198,11 @@ impl Site {
             all_interfaces: false,
             interfaces: Some(on_ethernet.map(|(_, end)| interface(end).into()).collect()),
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
+            tls: None,
             data_plane: self.data_plane,
             dpdk: Default::default(),
             rib: i == 1,
-            neighbours: vec![Neighbour { address: near, cost: None, dial: false, parent: false }],
+            neighbours: vec![Neighbour { address: near, cost: None, dial: false, parent: false, tls: None }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,

@@ -32,6 +32,8 @@ mod pages;
 mod pairings;
 mod patient;
 mod planes;
+mod reach;
+mod reach_links;
 mod rekey;
 mod replicas;
 mod replication;

@@ -164,29 +164,29 @@ fn a_server_that_starts_again_goes_on_with_its_members() -> Result<()> {
     first(&mut scene.listen(&scene.server, "rt/robot7/chatter")?).context("after the restart")
 }
 
-struct Scene {
+pub struct Scene {
     // Fields drop in this order: programs, network, files.
-    up: Option<Process>,
-    members: Vec<Process>,
-    server: Namespace,
-    robot: BehindNat,
+    pub up: Option<Process>,
+    pub members: Vec<Process>,
+    pub server: Namespace,
+    pub robot: BehindNat,
     alice: BehindNat,
-    tools: Tools,
+    pub tools: Tools,
     /// Commands that the people have typed.
     at_server: usize,
     at_members: usize,
-    files: tempfile::TempDir,
+    pub files: tempfile::TempDir,
 }
 
 /// A machine behind NAT.
-struct BehindNat {
-    inside: Namespace,
-    _nat: Namespace,
+pub struct BehindNat {
+    pub inside: Namespace,
+    pub nat: Namespace,
 }
 
 impl BehindNat {
     /// Connects a machine to the server's interface, over the network `10.9.NET.0/24`.
-    fn new(label: &str, server: &Namespace, interface: &str, net: u8) -> Result<Self> {
+    pub fn new(label: &str, server: &Namespace, interface: &str, net: u8) -> Result<Self> {
         let (inside, nat) = (Namespace::create(label)?, Namespace::create("nat")?);
         let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, net, number] };
         veth(&end(&inside, "w0", 1), &end(&nat, "i0", 2), 1500)?;
@@ -203,12 +203,12 @@ impl BehindNat {
         }
         nat.masquerade("i0")?;
         inside.enable_loopback_multicast()?;
-        Ok(Self { inside, _nat: nat })
+        Ok(Self { inside, nat })
     }
 }
 
 impl Scene {
-    fn build() -> Result<Self> {
+    pub fn build() -> Result<Self> {
         let server = Namespace::create("server")?;
         server.enable_loopback_multicast()?;
         let robot = BehindNat::new("robot", &server, "e0", 0)?;
@@ -226,19 +226,23 @@ impl Scene {
     }
 
     fn up(&mut self) -> Result<()> {
+        self.up_with(&[])
+    }
+
+    pub fn up_with(&mut self, options: &[&str]) -> Result<()> {
         self.at_server += 1;
-        let command = self.at_server(&["up", "--at", AT])?;
+        let command = self.at_server(&[&["up", "--at", AT], options].concat())?;
         let mut up = Process::spawn("up", command, self.files.path())?;
         up.wait_until("the domain", TIMEOUT * 2, |up| up.stdout().contains("Next").then_some(()))?;
         self.up = Some(up);
         Ok(())
     }
 
-    fn ctl(&self, arguments: &[&str]) -> Result<String> {
+    pub fn ctl(&self, arguments: &[&str]) -> Result<String> {
         execute(&mut self.at_server(arguments)?)
     }
 
-    fn invite(&mut self, label: &str, what: &[&str]) -> Result<String> {
+    pub fn invite(&mut self, label: &str, what: &[&str]) -> Result<String> {
         self.at_server += 1;
         self.ctl(&[&["invite", label], what].concat())
     }
@@ -253,7 +257,7 @@ impl Scene {
     }
 
     /// Joins on the machine of this label, and leaves the proxy running there.
-    fn join(&mut self, label: &str, line: &str) -> Result<()> {
+    pub fn join(&mut self, label: &str, line: &str) -> Result<()> {
         self.at_members += 1;
         let at = if label == "alice" { &self.alice.inside } else { &self.robot.inside };
         let mut member = Process::spawn(label, self.join_command(label, line, at)?, self.files.path())?;
@@ -263,16 +267,19 @@ impl Scene {
     }
 
     /// Tries to join, and returns what the program says when it fails.
-    fn try_join(&self, label: &str, line: &str, at: &Namespace) -> Result<String> {
+    pub fn try_join(&self, label: &str, line: &str, at: &Namespace) -> Result<String> {
         let mut command = self.join_command(label, line, at)?;
         let done = command.arg("--no-run").stdin(Stdio::null()).output()?;
         ensure!(!done.status.success(), "joined: {}", String::from_utf8_lossy(&done.stdout));
         Ok(String::from_utf8_lossy(&done.stderr).into_owned())
     }
 
-    fn join_command(&self, label: &str, line: &str, at: &Namespace) -> Result<Command> {
+    pub fn join_command(&self, label: &str, line: &str, at: &Namespace) -> Result<Command> {
         let mut command = at.command(self.tools.gdp_proxy()?)?;
         command.args(["join", "--dir"]).arg(self.files.path().join(label)).env("GDP_INVITATION", line);
+        for proxy in ["HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"] {
+            command.env_remove(proxy);
+        }
         Ok(command)
     }
 
@@ -326,14 +333,14 @@ impl Scene {
         Ok(serde_json::from_str(&self.ctl(&["-j", "robots"])?)?)
     }
 
-    fn talk(&self, at: &Namespace, topic: &str, size: usize, rate: f64) -> Result<Process> {
+    pub fn talk(&self, at: &Namespace, topic: &str, size: usize, rate: f64) -> Result<Process> {
         let label = format!("talk{}", topic.replace('/', "-"));
         let (size, rate) = (size.to_string(), rate.to_string());
         let options = ["--no-wait", "--size", &size, "--rate", &rate];
         Process::spawn(&label, self.cyclone(at, "talk", topic, &options)?, self.files.path())
     }
 
-    fn listen(&self, at: &Namespace, topic: &str) -> Result<Process> {
+    pub fn listen(&self, at: &Namespace, topic: &str) -> Result<Process> {
         let label = format!("listen{}-{}", topic.replace('/', "-"), at.name());
         Process::spawn(&label, self.cyclone(at, "listen", topic, &[])?, self.files.path())
     }
@@ -358,7 +365,7 @@ fn has_message(listener: &Process) -> bool {
 }
 
 /// Waits for a message.
-fn first(listener: &mut Process) -> Result<()> {
+pub fn first(listener: &mut Process) -> Result<()> {
     listener.wait_until("a message", TIMEOUT, |listener| has_message(listener).then_some(()))
 }
 

@@ -12,6 +12,7 @@ use crate::cert::{CertError, Delegation, Enrollment, Invite, MemberCert, Members
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
 use crate::name::{Name, NameProof, domain_metadata, inner_digest};
+use crate::peer::MAX_LANES;
 use crate::verify_key::VerifyKey;
 
 const PREFIX: &str = "gdp1";
@@ -42,6 +43,8 @@ pub struct Token {
     invite: Signed<Invite>,
     key: SigningKey,
     at: LinkTarget,
+    /// Further addresses of the same switch.
+    also: Vec<LinkTarget>,
     switch: Option<Name>,
     enrolling: Option<Enrolling>,
     successor: Option<VerifyKey>,
@@ -64,6 +67,8 @@ struct Form {
     #[serde(with = "crate::cbor::array")]
     key: [u8; 32],
     at: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    also: Vec<String>,
     switch: Option<Name>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     enrolling: Option<Enrolling>,
@@ -87,7 +92,8 @@ impl Token {
         at: LinkTarget,
         switch: Option<Name>,
     ) -> Result<Self, CertError> {
-        let token = Self { domain, invite, key, at, switch, enrolling: None, successor: None };
+        let also = Vec::new();
+        let token = Self { domain, invite, key, at, also, switch, enrolling: None, successor: None };
         token.invite()?;
         Ok(token)
     }
@@ -119,6 +125,13 @@ impl Token {
             return Err(CertError::Malformed("the enrollment is of another invitation".into()));
         }
         Ok(Self { enrolling: Some(enrolling), ..self })
+    }
+
+    /// Adds further addresses of the switch, in order of preference after [`Self::at`]. A node has
+    /// no use for more than [`MAX_LANES`] addresses.
+    pub fn also(self, mut also: Vec<LinkTarget>) -> Self {
+        also.truncate(MAX_LANES - 1);
+        Self { also, ..self }
     }
 
     /// Returns the enrollment, if the domain enrolls this member.
@@ -153,8 +166,14 @@ impl Token {
         NameCard::new(self.domain.verify_key()?, metadata).map_err(|error| CertError::Malformed(error.to_string()))
     }
 
+    /// Returns the preferred address.
     pub fn at(&self) -> &LinkTarget {
         &self.at
+    }
+
+    /// Returns all addresses, in order of preference.
+    pub fn addresses(&self) -> impl Iterator<Item = &LinkTarget> {
+        [&self.at].into_iter().chain(&self.also)
     }
 
     pub fn switch(&self) -> Option<Name> {
@@ -182,6 +201,7 @@ impl Token {
             invite: self.invite.clone(),
             key: *self.key.secret_bytes(),
             at: self.at.to_string(),
+            also: self.also.iter().map(ToString::to_string).collect(),
             switch: self.switch,
             enrolling: self.enrolling.clone(),
             successor: self.successor,
@@ -204,8 +224,11 @@ impl Token {
             cbor::decode(&bytes, MAX_TOKEN).map_err(|_| TokenError::Damaged("not an invitation".into()))?;
         let damaged = |what: &str| TokenError::Damaged(what.into());
         let key = SigningKey::from_secret_bytes(&form.key).map_err(|_| damaged("its key is none"))?;
-        let at = form.at.parse().map_err(|_| damaged("it names no place to dial"))?;
-        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?.with_successor(form.successor);
+        let address = |text: &String| text.parse().map_err(|_| damaged("it names no address to dial"));
+        let at = address(&form.at)?;
+        let also = form.also.iter().map(address).collect::<Result<_, _>>()?;
+        let token = Self::new(form.domain, form.invite.clone(), key, at, form.switch)?.also(also);
+        let token = token.with_successor(form.successor);
         Ok(match form.enrolling.clone() {
             Some(enrolling) => token.enroll(enrolling)?,
             None => token,

@@ -161,6 +161,11 @@ fn an_invitation_admits_in_its_role_and_time_only() {
     let read = Token::from_line(&format!(" {}\n", *line)).unwrap();
     let (name, at) = (newcomer.name(), "udp://edge.example:31415");
     assert_eq!((read.at().to_string().as_str(), read.switch()), (at, Some(Name::from_bytes([9; 32]))));
+    assert_eq!(read.addresses().count(), 1);
+    let further: Vec<LinkTarget> = ["tls://edge.example", "wss://edge.example"].map(|to| to.parse().unwrap()).into();
+    let read = Token::from_line(&read.also(further.clone()).to_line()).unwrap();
+    assert_eq!(read.addresses().skip(1).cloned().collect::<Vec<_>>(), further);
+    assert_eq!(read.clone().also(vec![further[0].clone(); 9]).addresses().count(), crate::peer::MAX_LANES);
     let membership = read.admit(name, NOW - 60, ISSUED + 8).unwrap();
     let cert = membership.verify(home.identity.name(), None, NOW).unwrap();
     assert_eq!((cert.entity, cert.role.as_str(), cert.not_after), (name, "switch", NOW + 600));

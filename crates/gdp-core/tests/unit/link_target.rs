@@ -12,10 +12,15 @@ fn targets_survive_their_text() {
         "udp://edge.local:1",
         "udp://edge.local:1%wwan0",
         "udp://[::1]:9%wlan0",
+        "tls://edge.local:443",
+        "tls://[::1]:8443",
+        "wss://192.0.2.1:443",
     ] {
         assert_eq!(text.parse::<LinkTarget>().unwrap().to_string(), text);
     }
     assert_eq!("udp://edge".parse::<LinkTarget>().unwrap().to_string(), "udp://edge:31415");
+    assert_eq!("tls://edge".parse::<LinkTarget>().unwrap().to_string(), "tls://edge:443");
+    assert_eq!("wss://[::1]".parse::<LinkTarget>().unwrap().to_string(), "wss://[::1]:443");
 }
 
 #[test]
@@ -40,6 +45,10 @@ fn anything_else_is_refused() {
         "udp://a%w/0",
         "udp://a%an-interface-too-long",
         "tcp://host:1",
+        "tls://",
+        "tls://host:0",
+        "wss://host/path",
+        "wss://host:443%wlan0",
     ] {
         assert!(text.parse::<LinkTarget>().is_err(), "{text}");
     }

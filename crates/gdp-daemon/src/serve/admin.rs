@@ -158,7 +158,7 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
         Request::Monitor => malformed("events have a connection of their own"),
         Request::Hello => status::hello(daemon).into(),
         Request::Status => Reply::Status(Box::new(status::status(daemon).await)),
-        Request::Links => LinksReply { links: status::links(&daemon.core()) }.into(),
+        Request::Links => LinksReply { links: status::links(daemon, &daemon.core()) }.into(),
         Request::Peers => status::peers(&daemon.core()).into(),
         Request::Topology => status::topology(daemon).into(),
         Request::Fib { after } => or_failure(status::fib(daemon, after, PAGE)),

@@ -6,7 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use gdp_core::revocations::SignedRevocation;
-use gdp_link::port::{Port, PortConfig};
+use gdp_link::link::Link;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_link::tunnel::TunnelPeers;
 use gdp_proto::control::{PathCosts, Refusal};
 use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
@@ -33,6 +35,8 @@ pub struct Daemon {
     ports: Mutex<HashMap<String, Arc<Port>>>,
     /// The address that accepts links over UDP.
     pub(super) udp: OnceLock<SocketAddr>,
+    /// The peers whose links are inside TLS.
+    pub(super) tunnels: TunnelPeers,
     /// One lock for each task that runs or waits.
     serialized: Mutex<HashMap<SerializedTask, Arc<tokio::sync::Mutex<()>>>>,
     pub(super) report: Notify,
@@ -72,6 +76,7 @@ impl Daemon {
             domain_store,
             ports: Mutex::default(),
             udp: OnceLock::new(),
+            tunnels: TunnelPeers::default(),
             serialized: Mutex::default(),
             report: Notify::new(),
             topology: Notify::new(),
@@ -91,6 +96,14 @@ impl Daemon {
 
     pub fn ports(&self) -> MutexGuard<'_, HashMap<String, Arc<Port>>> {
         self.ports.lock()
+    }
+
+    /// Returns the address of a link's peer, for people. Over TLS it is the real one, not that of
+    /// the tunnel's loopback socket.
+    pub fn peer_address(&self, link: &Link) -> String {
+        let addr = link.addr();
+        let peer = if let LinkAddr::Udp(addr) = addr { self.tunnels.get(addr) } else { None };
+        peer.map_or_else(|| addr.to_string(), |peer| format!("tls:{peer}"))
     }
 
     pub fn is_stopping(&self) -> bool {

@@ -63,8 +63,8 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
         );
         replaced.close("replaced by a newer link");
     }
-    let role = if switch { "switch" } else { "endpoint" };
-    tracing::info!(peer = %format_args!("{peer:#}"), role, relationship, %via, addr = %link.addr(), "link up");
+    let (role, addr) = (if switch { "switch" } else { "endpoint" }, daemon.peer_address(&link));
+    tracing::info!(peer = %format_args!("{peer:#}"), role, relationship, %via, addr, "link up");
     domain::tell_revocations(daemon, &link);
     daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {
@@ -92,7 +92,7 @@ async fn used_elsewhere(daemon: &Daemon, link: &Link) -> Option<String> {
     if !matches!(answer, Ok(Ok(_))) {
         return None;
     }
-    let (peer, at) = (link.peer().name, other.addr());
+    let (peer, at) = (link.peer().name, daemon.peer_address(&other));
     Some(format!(
         "another program uses the key of {peer:#}, at {at}; stop it, or make a key for each machine \
          (`gdp-ctl key generate`, or for a member `gdp-proxy leave` and `join`)"

@@ -50,6 +50,7 @@ use gdp_core::identity::Identity;
 use gdp_dataplane::{PinLocation, PlaneConfig, Planes, Wanted, host_pair};
 use gdp_link::link::LinkIds;
 use gdp_link::port::{Port, PortConfig};
+use gdp_link::tunnel::TlsListener;
 use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
@@ -110,6 +111,10 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let credentials = port_config.credentials.clone();
     let replica = config.etcd.as_ref().map(Replica::new).transpose()?;
     let daemon = Arc::new(Daemon::new(port_config, core, revocations, replica, domain_store));
+    let tls = match config.tls {
+        Some(addr) => Some(TlsListener::bind(addr).await.map_err(|source| StartError::Tls { addr, source })?),
+        None => None,
+    };
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
     let admin = admin::listen(&daemon, &config.socket)?;
@@ -136,13 +141,15 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
             (None, None)
         }
     };
+    let udp_addr = udp.as_ref().and_then(|(_, port)| port.udp_addr());
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);
     }
     let mut ready = Ready {
         switch: daemon.name,
         rib: config.rib,
-        udp: udp.as_ref().and_then(|(_, port)| port.udp_addr()),
+        udp: udp_addr,
+        tls: tls.as_ref().and_then(|listener| listener.local_addr().ok()),
         ethernet: Vec::new(),
         awaited: Vec::new(),
         planes: Vec::new(),
@@ -158,10 +165,13 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
-        port.udp_addr().map(|addr| daemon.udp.set(addr));
+        udp_addr.map(|addr| daemon.udp.set(addr));
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
         let wanted = daemon.core().rib_client.peerings.subscribe();
         daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));
+    }
+    if let Some((listener, udp)) = tls.zip(udp_addr) {
+        daemon.spawn(listener.run(udp, daemon.tunnels.clone()));
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));

@@ -4,13 +4,16 @@
 //! peers, dials the configured neighbours, and starts over when an interface is recreated.
 
 use std::collections::HashMap;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
 use gdp_core::crypto;
+use gdp_core::link_target::LinkTarget;
 use gdp_link::link::{Link, LinkError};
 use gdp_link::port::{Interface, LinkAddr, Port};
+use gdp_link::tunnel::{Tunnel, TunnelError};
 use gdp_proto::admin::words::RefusedThing;
 use gdp_util::backoff::{Backoff, jittered};
 use gdp_wire::Name;
@@ -20,7 +23,7 @@ use tokio::time::{Instant, sleep};
 use super::daemon::Daemon;
 use super::start_error::StartError;
 use super::{interfaces, links};
-use crate::config::{NeighbourAddress, Via};
+use crate::config::{Neighbour, NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
 /// The time limit for a neighbour's answer to discovery.
@@ -30,6 +33,9 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 /// on.
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
+
+/// The interval of attempts over UDP while the link to a neighbour is over TLS.
+const TRY_UDP: Duration = Duration::from_secs(10);
 
 /// Opens a port on an interface and attaches the data planes to it.
 pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
@@ -42,10 +48,7 @@ pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, Star
 
 /// Opens the UDP port. Also returns the reason why frames of local endpoints go through the daemon,
 /// if they do.
-pub async fn open_udp(
-    daemon: &Arc<Daemon>,
-    bind: std::net::SocketAddr,
-) -> Result<(Arc<Port>, Option<String>), StartError> {
+pub async fn open_udp(daemon: &Arc<Daemon>, bind: SocketAddr) -> Result<(Arc<Port>, Option<String>), StartError> {
     let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
     let addr = port.udp_addr().unwrap_or(bind);
     let opened = open_host_pair(daemon, addr).await;
@@ -61,7 +64,7 @@ pub async fn open_udp(
 
 /// Opens the veth interfaces through which local endpoints reach the kernel plane. Fails with the
 /// reason if there can be none.
-async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Result<host_pair::Ends, String> {
+async fn open_host_pair(daemon: &Daemon, bound: SocketAddr) -> Result<host_pair::Ends, String> {
     let possible = daemon.core().switch.planes.takes_pair(bound);
     let opened = match possible {
         Ok(()) => host_pair::open(&daemon.name).await.map_err(|error| error.to_string()),
@@ -81,12 +84,7 @@ pub async fn remove_host_pair(daemon: &Daemon) {
 }
 
 /// Runs the UDP port until the daemon ends.
-pub async fn run_udp(
-    daemon: Arc<Daemon>,
-    port: Arc<Port>,
-    bind: std::net::SocketAddr,
-    mut changes: watch::Receiver<()>,
-) {
+pub async fn run_udp(daemon: Arc<Daemon>, port: Arc<Port>, bind: SocketAddr, mut changes: watch::Receiver<()>) {
     let follow_interfaces = async {
         loop {
             interfaces::look(&mut changes).await;
@@ -165,14 +163,15 @@ fn refresh(daemon: &Daemon) {
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
     // Of two neighbours, the one with the smaller name dials, unless the configuration sets `dial`.
-    let to_dial: Vec<NeighbourAddress> = {
+    let to_dial: Vec<Neighbour> = {
         let core = daemon.core();
         let near = core.neighbours.listed.iter().filter(|n| n.address.via.same_port(via));
-        near.filter(|n| n.dial || own.as_bytes() < n.address.switch.as_bytes()).map(|n| n.address.clone()).collect()
+        near.filter(|n| n.dial || own.as_bytes() < n.address.switch.as_bytes()).cloned().collect()
     };
-    let dials = futures::future::join_all(
-        to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])),
-    );
+    let dials = futures::future::join_all(to_dial.into_iter().map(|neighbour| {
+        let NeighbourAddress { switch, via } = neighbour.address;
+        keep_link(daemon, port, switch, [Some(via), neighbour.tls.map(Via::Tls)].into_iter().flatten().collect())
+    }));
     tokio::join!(accept(daemon, port, via), dials);
 }
 
@@ -217,14 +216,24 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
         let problem = match existing {
             Some(link) => {
                 let up = Instant::now();
-                let reason = link.closed().await;
+                let reason = tokio::select! {
+                    reason = link.closed() => reason,
+                    preferred = answers_over_udp(port, switch, &ways), if matches!(via, Via::Tls(_)) => {
+                        link.close("the switch answers over UDP");
+                        turns = ways.iter().cycle().peekable();
+                        match links::take(daemon, preferred, ways[0].clone()).await {
+                            Ok(()) => continue,
+                            Err(reason) => format!("refused a link: {reason}"),
+                        }
+                    }
+                };
                 if up.elapsed() > LONGEST_DELAY {
                     retry.reset();
                 }
                 reason
             }
             None => {
-                let problem = match dial(port, switch, via).await {
+                let problem = match dial(daemon, port, switch, via).await {
                     Ok(link) => match links::take(daemon, link, via.clone()).await {
                         Ok(()) => continue,
                         Err(reason) => format!("refused a link: {reason}"),
@@ -245,12 +254,55 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
     }
 }
 
-async fn dial(port: &Port, switch: Name, via: &Via) -> Result<Link, LinkError> {
-    let to = match via {
-        Via::Udp(addr) => LinkAddr::udp(*addr),
-        Via::Interface(_) => find(port, switch).await?,
-    };
-    port.dial(to, Some(switch)).await
+/// Waits until the switch answers over UDP, and returns the link. The link over TLS stays until
+/// then.
+async fn answers_over_udp(port: &Port, switch: Name, ways: &[Via]) -> Link {
+    loop {
+        sleep(TRY_UDP).await;
+        if let Some(Via::Udp(addr)) = ways.first()
+            && let Ok(link) = port.dial(LinkAddr::udp(*addr), Some(switch)).await
+        {
+            return link;
+        }
+    }
+}
+
+async fn dial(daemon: &Daemon, port: &Port, switch: Name, via: &Via) -> Result<Link, DialError> {
+    match via {
+        Via::Udp(addr) => Ok(port.dial(LinkAddr::udp(*addr), Some(switch)).await?),
+        Via::Interface(_) => Ok(port.dial(find(port, switch).await?, Some(switch)).await?),
+        Via::Tls(LinkTarget::Tls { host, port: number, websocket }) => {
+            let own = port.udp_addr().map(reached_at).ok_or(DialError::NoPort)?;
+            let tunnel = Tunnel::open(host, *number, *websocket, own).await?;
+            let link = port.dial(LinkAddr::udp(tunnel.local_addr()), Some(switch)).await?;
+            let ended = link.clone();
+            daemon.spawn(async move {
+                tokio::select! {
+                    () = tunnel.ended() => ended.close("the TLS connection to the switch has ended"),
+                    _ = ended.closed() => {}
+                }
+            });
+            Ok(link)
+        }
+        Via::Tls(_) => Err(DialError::NoPort),
+    }
+}
+
+/// Returns where programs on this host reach a port.
+fn reached_at(bound: SocketAddr) -> SocketAddr {
+    let ip = if bound.ip().is_unspecified() { Ipv4Addr::LOCALHOST.into() } else { bound.ip() };
+    SocketAddr::new(ip, bound.port())
+}
+
+/// The reason why a neighbour was not reached.
+#[derive(Debug, thiserror::Error)]
+enum DialError {
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    #[error(transparent)]
+    Tunnel(#[from] TunnelError),
+    #[error("a tunnel over TLS starts at the UDP port, and this is another")]
+    NoPort,
 }
 
 async fn find(port: &Port, switch: Name) -> Result<LinkAddr, LinkError> {

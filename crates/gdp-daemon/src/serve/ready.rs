@@ -14,6 +14,7 @@ pub struct Ready {
     /// Whether this daemon hosts the RIB, or one of its replicas.
     pub rib: bool,
     pub udp: Option<SocketAddr>,
+    pub tls: Option<SocketAddr>,
     /// The interfaces with links directly on Ethernet.
     pub ethernet: Vec<String>,
     /// The configured interfaces that are not usable yet.
@@ -53,9 +54,9 @@ impl Ready {
             format!("switch {}", self.switch),
             format!("RIB: {}", if self.rib { "here" } else { "elsewhere" }),
             format!("links over UDP: {udp}"),
-            format!("links on Ethernet: {}", self.on_ethernet(command)),
-            self.by_plane(command),
         ];
+        parts.extend(self.tls.map(|tls| format!("links over TLS: on TCP {tls}")));
+        parts.extend([format!("links on Ethernet: {}", self.on_ethernet(command)), self.by_plane(command)]);
         parts.extend(self.in_userspace.iter().map(|what| format!("in userspace: {what}")));
         parts.push(format!("admin socket: {}", self.socket.display()));
         format!("ready: {}", parts.join("; "))

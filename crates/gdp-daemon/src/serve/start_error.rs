@@ -33,6 +33,8 @@ pub enum StartError {
     NoPort,
     #[error("UDP {addr} is used by {owner}; stop it, or choose another port with --udp or `udp:`")]
     PortTaken { addr: SocketAddr, owner: String },
+    #[error("cannot listen for TLS on TCP {addr}: {source}; choose another address or port with `tls:`")]
+    Tls { addr: SocketAddr, source: std::io::Error },
     #[error(transparent)]
     Admin(#[from] AdminError),
     #[error(transparent)]

@@ -91,7 +91,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
         interfaces,
         dpdk_processor_time_us: dpdk_processor_time.iter().map(|time| time.as_micros() as u64).collect(),
         udp: daemon.udp.get().copied(),
-        links: links(&core),
+        links: links(daemon, &core),
         links_in_grace: links_in_grace(&core),
         refused: core.switch.recent_refusals.all(Instant::now()),
         handshakes: handshakes(daemon.port_config.handshakes.read()),
@@ -138,7 +138,7 @@ fn control(core: &Core) -> ControlStatus {
 }
 
 /// Returns the output of `gdp-ctl link list`: every live link, by id.
-pub fn links(core: &Core) -> Vec<LinkStatus> {
+pub fn links(daemon: &Daemon, core: &Core) -> Vec<LinkStatus> {
     let mut links: Vec<_> = core.switch.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
     let Adjacencies { neighbours: mut costs, borders, .. } = core.neighbours.adjacencies(&core.switch);
@@ -156,7 +156,7 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
             domain: foreign(&state.admission.relationship),
             admitted_until: (state.admission.until < u64::MAX).then_some(state.admission.until),
             via: state.via.to_string(),
-            address: link.addr().to_string(),
+            address: daemon.peer_address(link),
             id,
             mtu: link.mtu(),
             key_generations: KeyGenerations { rx, tx },
@@ -303,7 +303,8 @@ fn errors_received(core: &Core, link: u32) -> Counts {
 
 /// Returns one word for the data planes of all interfaces, and the reasons.
 pub fn data_plane(core: &Core) -> (&'static str, String) {
-    let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let is_over_udp = |via: &crate::config::Via| matches!(via, crate::config::Via::Udp(_) | crate::config::Via::Tls(_));
+    let over_udp = core.switch.links.iter().filter(|(_, state)| is_over_udp(&state.via));
     let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
     let report = core.switch.planes.report();
     // Interfaces that the switch created itself are of no interest to the user.

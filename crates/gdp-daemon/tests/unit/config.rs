@@ -53,7 +53,8 @@ fn what_is_left_out_has_a_default() {
         assert_eq!(config.bpffs.as_deref(), Some(Path::new("/sys/fs/bpf")));
     }
     let config = parse(&format!("udp: '[::1]:5'\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}")).unwrap();
-    assert_eq!(config.udp, Some("[::1]:5".parse().unwrap()));
+    assert_eq!((config.udp, config.tls), (Some("[::1]:5".parse().unwrap()), None));
+    assert_eq!(parse("tls: '[::]:443'").unwrap().tls, Some("[::]:443".parse().unwrap()));
     assert!(!config.rib);
     assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
     let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
@@ -219,6 +220,13 @@ fn what_is_wrong_is_named() {
         ("kind: switch\n-----BEGIN PRIVATE KEY-----\nAAAA\n", "it is a private key, not a daemon's configuration"),
         ("udp:\n\t- a", "a tab; use spaces"),
         ("udp: nowhere", "is not an address and port"),
+        ("tls: example.com:443", "tls: \"example.com:443\" is not an address and port"),
+        ("udp: null\ntls: 0.0.0.0:443", "need the UDP port"),
+        (
+            &format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, tls: 'udp://a'}}"),
+            "is not an address such as tls://HOST",
+        ),
+        (&format!("uplink: {{interface: l0, switch: {S}, tls: 'tls://a'}}"), "is used beside udp"),
         ("public: [a, b]", "invalid socket address"),
         (&format!("public: [{}]", ["'192.0.2.1:9'"; 9].join(", ")), "at most 8"),
         ("data_plane: fast", "fast"),

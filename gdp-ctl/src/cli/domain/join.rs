@@ -4,7 +4,7 @@ use std::io::Read;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::cert::domain::roles;
 use gdp_core::domain::Token;
@@ -120,6 +120,7 @@ fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> 
             let ip: IpAddr = host.parse().context("an address was expected")?;
             format!("udp: '{}'", SocketAddr::new(ip, *port))
         }
+        tls @ LinkTarget::Tls { .. } => bail!("{tls}: a switch reaches another one over UDP or Ethernet only"),
     };
     let switch = token.switch().context("the invitation does not say which switch to dial; have another made")?;
     let place = format!("{{{via}, switch: {switch}, dial: true}}");
@@ -130,8 +131,9 @@ fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> 
 
 fn proxy(token: &Token, identity: &Path) -> String {
     let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
-    let (identity, to) = (quoted(identity), quoted(token.at().to_string()));
-    format!("version: 1\nidentity: {identity}\nlinks: [{{to: {to}{switch}}}]\n{}", domain())
+    let links: Vec<_> = token.addresses().map(|to| format!("{{to: {}{switch}}}", quoted(to.to_string()))).collect();
+    let (identity, links) = (quoted(identity), links.join(", "));
+    format!("version: 1\nidentity: {identity}\nlinks: [{links}]\n{}", domain())
 }
 
 /// Returns a text in double quotes, which YAML and JSON parse in the same way.

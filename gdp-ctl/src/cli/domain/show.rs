@@ -84,7 +84,7 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
             format!("serial      {}", invite.serial),
             format!("use until   {}", relative(invite.not_after, now)),
             format!("member until {}", relative(invite.member_until, now)),
-            format!("dial        {}", token.at()),
+            format!("dial        {}", token.addresses().map(ToString::to_string).collect::<Vec<_>>().join(", then ")),
             format!("switch      {switch}"),
         ]
     })

@@ -21,6 +21,10 @@ pub struct DomainOptions<'a> {
     /// Host, or host and port, that members dial. `None` keeps what was chosen before.
     pub at: Option<&'a str>,
     pub udp: Option<SocketAddr>,
+    /// Where the switch takes links over TLS. `None` keeps what was chosen before.
+    pub tls: Option<SocketAddr>,
+    /// Whether links over TLS are turned off. They stay off until `tls` is set.
+    pub no_tls: bool,
     /// Whether XDP is turned off. It stays off.
     pub no_xdp: bool,
     /// Seconds for which a membership lasts without a renewal. `None` keeps what was chosen before.
@@ -62,7 +66,8 @@ impl Home {
             (None, Some(before)) => before.at.clone(),
             (None, None) => dialled(&own_address()?, udp.port()),
         };
-        let address = DomainAddress { at, switch: switch.name(), udp, xdp, lifetime };
+        let tls = wanted.tls.or(before.as_ref().and_then(|before| before.tls)).filter(|_| !wanted.no_tls);
+        let address = DomainAddress { at, switch: switch.name(), udp, tls, xdp, lifetime };
         address.target()?;
         let is_same = before.as_ref() == Some(&address) && wanted.socket.is_none();
         self.replace("address", &serde_json::to_string(&address)?)?;
@@ -103,6 +108,9 @@ fn configuration(address: &DomainAddress, socket: Option<&Path>) -> anyhow::Resu
          domain: {{card: domain.card, membership: switch.member, members_only: true}}\n",
         quoted(address.udp.to_string())
     );
+    if let Some(tls) = address.tls {
+        text += &format!("tls: {}\n", quoted(tls.to_string()));
+    }
     if let Some(socket) = socket {
         let socket = std::path::absolute(socket).with_context(|| socket.display().to_string())?;
         text += &format!("socket: {}\n", quoted(socket.display().to_string()));

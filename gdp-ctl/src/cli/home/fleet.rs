@@ -116,6 +116,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             Difference::Invite(terms) if options.yes => {
                 let address = home.address()?;
                 let (token, _) = home.invite(terms, address.target()?, address.switch)?;
+                let token = token.also(address.tls_targets()?);
                 Some(token.to_line().to_string())
             }
             Difference::Enroll(enrollment) if options.yes => {

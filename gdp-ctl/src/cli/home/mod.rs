@@ -97,6 +97,9 @@ struct DomainAddress {
     switch: Name,
     /// Address and port of the switch on this machine.
     udp: SocketAddr,
+    /// Address and port of the switch for links over TLS, if it takes them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tls: Option<SocketAddr>,
     /// Whether the switch may attach XDP programs.
     xdp: bool,
     /// Seconds for which a membership lasts without a renewal.
@@ -170,5 +173,13 @@ impl DomainAddress {
 
     fn target(&self) -> anyhow::Result<LinkTarget> {
         self.at.parse().with_context(|| format!("address: {} is no address", self.at))
+    }
+
+    /// Returns where members reach the switch if no UDP passes: inside TLS, and inside a WebSocket,
+    /// because some proxies pass only HTTP.
+    fn tls_targets(&self) -> anyhow::Result<Vec<LinkTarget>> {
+        let (LinkTarget::Udp { host, .. }, Some(tls)) = (self.target()?, self.tls) else { return Ok(Vec::new()) };
+        let target = |websocket| LinkTarget::Tls { host: host.clone(), port: tls.port(), websocket };
+        Ok([false, true].map(target).into())
     }
 }

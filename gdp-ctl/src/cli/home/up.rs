@@ -49,6 +49,13 @@ pub struct Options {
     /// Address and port for links over UDP. Default: as before, else 0.0.0.0:31415.
     #[arg(long, value_name = "ADDRESS:PORT")]
     udp: Option<SocketAddr>,
+    /// Also take links over TLS, for members whose networks let no UDP out; without an address, at
+    /// 0.0.0.0:443. Default: as before.
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "0.0.0.0:443")]
+    tls: Option<SocketAddr>,
+    /// Take no links over TLS, now and later.
+    #[arg(long, conflicts_with = "tls")]
+    no_tls: bool,
     /// Attach no XDP program, now and later; forward in userspace.
     #[arg(long)]
     no_xdp: bool,
@@ -66,13 +73,9 @@ pub struct Options {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let home = options.home.home()?;
     let socket = context.socket.as_deref();
-    let made = home.create(&DomainOptions {
-        at: options.at.as_deref(),
-        udp: options.udp,
-        no_xdp: options.no_xdp,
-        lifetime: options.lifetime.map(u64::from),
-        socket,
-    })?;
+    let Options { udp, tls, no_tls, no_xdp, lifetime, .. } = *options;
+    let (at, lifetime) = (options.at.as_deref(), lifetime.map(u64::from));
+    let made = home.create(&DomainOptions { at, udp, tls, no_tls, no_xdp, lifetime, socket })?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -263,11 +266,13 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
         true => format!("members' topics under /LABEL; {}", home.server_config().display()),
         false => "none".to_owned(),
     };
+    let tls = address.tls.map_or(String::new(), |tls| format!(", TCP {tls} for TLS"));
+    let over_tls = address.tls_targets()?.first().map_or(String::new(), |target| format!(", else {target}"));
     terminal::print([
         format!("Domain    {:#}, {state}, with {members} members", made.domain),
         format!("Keys      {folder}/domain.pem, and successor.pem if that is lost: move it elsewhere"),
-        format!("Switch    {:#} with the RIB; UDP {} is open ({xdp})", made.switch, address.udp),
-        format!("Members   dial {}; another address: --at HOST", address.at),
+        format!("Switch    {:#} with the RIB; UDP {} is open{tls} ({xdp})", made.switch, address.udp),
+        format!("Members   dial {}{over_tls}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
         "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
     ])

@@ -126,7 +126,7 @@ impl Settings {
 
     pub fn dials(mut self, hub: &Place) -> Self {
         let place = At { switch: hub.name, via: Via::Udp(hub.addr) };
-        self.0.neighbours.push(Neighbour { address: place, cost: Some(1), dial: true, parent: false });
+        self.0.neighbours.push(Neighbour { address: place, cost: Some(1), dial: true, parent: false, tls: None });
         self
     }
 

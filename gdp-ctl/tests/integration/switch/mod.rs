@@ -48,7 +48,7 @@ impl<'a> Chain<'a> {
             udp: Some(self.addrs[i]),
             rib: i == 2,
             neighbours: near
-                .map(|j| Neighbour { address: place(j), cost: Some(1), dial: false, parent: false })
+                .map(|j| Neighbour { address: place(j), cost: Some(1), dial: false, parent: false, tls: None })
                 .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }

@@ -7,6 +7,7 @@ use tokio::time::MissedTickBehavior;
 
 use super::*;
 use gdp_link::link::REQUEST_TIMEOUT;
+use gdp_link::tunnel::{TlsListener, TunnelPeers};
 
 /// Interval between two messages in the tests.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -300,4 +301,25 @@ async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
     assert!(!error.may_pass());
     let error = error.to_string();
     assert!(error.contains("gdpnone0"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_link_over_tls_takes_over_where_no_preferred_link_answers() {
+    let fabric = Fabric::start().await;
+    let LinkTarget::Udp { host, port, .. } = fabric.target() else { panic!("a fabric over UDP") };
+    let listener = TlsListener::bind("127.0.0.1:0".parse().unwrap()).await.unwrap();
+    let tls: LinkTarget = format!("tls://{}", listener.local_addr().unwrap()).parse().unwrap();
+    tokio::spawn(listener.run(format!("{host}:{port}").parse().unwrap(), TunnelPeers::default()));
+    let nobody = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let nobody: LinkTarget = format!("udp://{}", nobody.local_addr().unwrap()).parse().unwrap();
+    let links = vec![nobody.into(), tls.into()];
+    let identity = Identity::generate("proxy").unwrap();
+    let node = Node::connect(NodeConfig { links, ..NodeConfig::new(identity, fabric.target()) }).await.unwrap();
+    assert!(node.links()[1].main && node.links()[1].state == LinkState::Up, "{:?}", node.links());
+    let owner = Owner::new("/chatter");
+    let mut subscription = owner.subscribe(&fabric.node("proxy").await).await.unwrap();
+    let mut publisher = owner.publish(&node).await.unwrap();
+    // More than the MTU of Ethernet, in one frame.
+    publisher.send(Encoding::Bytes, &[7; 5000]).await.unwrap();
+    assert_eq!(recv(&mut subscription).await.body[..], [7; 5000]);
 }

@@ -11,6 +11,7 @@ fn ready(planes: Vec<InterfacePlane>) -> Ready {
         switch: Name::from_bytes([0x75; 32]),
         rib: true,
         udp: Some(([0, 0, 0, 0], 31415).into()),
+        tls: None,
         ethernet: vec![],
         awaited: vec![],
         planes,
