@@ -183,6 +183,7 @@ impl Home {
         let card = join_card(enrollment.join_service)?;
         let call = self.first_call(token, enrolling.call.clone(), &identity, &card)?;
         let reply = ask(&node, &card, call, &JoinRequest::Join(Box::new(request))).await;
+        let used = node.links().into_iter().find(|link| link.main).map(|link| link.target);
         node.close().await;
         match reply? {
             JoinReply::Joined { directory, call } => {
@@ -197,7 +198,8 @@ impl Home {
         let config = configuration(token, &enrollment);
         Config::parse(&config, &self.config())?;
         write(&self.config(), &config)?;
-        Ok(Joined { lines: self.summary(token, &identity, &enrollment), config: self.config() })
+        let at = used.unwrap_or_else(|| token.at().to_string());
+        Ok(Joined { lines: self.summary(&at, &identity, &enrollment), config: self.config() })
     }
 
     /// Leaves the domain: removes this machine from the directory and the files of its membership.
@@ -295,9 +297,10 @@ impl Home {
         Ok(Issued { cert, delegation: Some(delegation) })
     }
 
-    fn summary(&self, token: &Token, identity: &Identity, enrollment: &Enrollment) -> Vec<String> {
+    /// `at`: the address by which this machine joined.
+    fn summary(&self, at: &str, identity: &Identity, enrollment: &Enrollment) -> Vec<String> {
         let Enrollment { label, expose, import, read, .. } = enrollment;
-        let mut lines = vec![format!("Joined as {label} ({:#}) at {}", identity.name(), token.at())];
+        let mut lines = vec![format!("Joined as {label} ({:#}) at {at}", identity.name())];
         if !expose.is_empty() {
             lines.push(format!("Exposes   {}", expose.join(" ")));
         }

@@ -38,8 +38,9 @@ pub struct NodeOptions {
     /// Kind of the key's entity, if the key's file does not state it. Default: proxy.
     #[arg(long, value_enum)]
     kind: Option<EntityKind>,
-    /// Switch to attach to: udp://HOST[:PORT] or eth://INTERFACE. Default: the switch of this
-    /// machine's daemon, or for a member the one it joined at.
+    /// Switch to attach to: udp://HOST[:PORT], tls://HOST[:PORT], wss://HOST[:PORT] or
+    /// eth://INTERFACE. Default: the switch of this machine's daemon, or for a member the one it
+    /// joined at.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
     switch: Option<LinkTarget>,
 }

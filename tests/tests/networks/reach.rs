@@ -27,6 +27,8 @@ fn a_robot_without_udp_joins_and_its_topics_flow_over_tls() -> Result<()> {
     let line = scene.invite("robot7", &["--expose", "/chatter", "--import", "/cmd_vel"])?;
     ensure!(scene.ctl(&["domain", "show", &line])?.contains("tls://10.9.0.1:443, then wss://10.9.0.1:443"));
     scene.join("robot7", &line)?;
+    let joined = scene.members[0].stdout();
+    ensure!(joined.contains("at tls://10.9.0.1:443"), "{joined}");
     topics_flow(&scene)?;
 
     let links = scene.ctl(&["link", "list"])?;

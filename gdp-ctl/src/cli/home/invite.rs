@@ -91,7 +91,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let address = home.address()?;
     let terms = options.terms()?;
     let (label, is_standing) = (terms.label.clone(), terms.role == roles::APPLICANT);
-        let at = options.at.clone().map_or_else(|| address.target(), Ok)?;
+    let at = options.at.clone().map_or_else(|| address.target(), Ok)?;
     let (token, claims) = home.invite(terms, at, options.switch.unwrap_or(address.switch))?;
     let token = if options.at.is_none() { token.also(address.tls_targets()?) } else { token };
     let line = token.to_line();
