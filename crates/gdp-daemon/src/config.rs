@@ -317,8 +317,8 @@ struct NeighbourAddressEntry {
     /// Its address and port.
     #[schemars(with = "Option<String>")]
     udp: Option<SocketAddr>,
-    /// Beside `udp`: where it is reached over TLS while UDP does not answer, such as `tls://HOST` or
-    /// `wss://HOST:443`.
+    /// Beside `udp`: where it is reached over TLS while UDP does not answer, such as `tls://HOST`
+    /// or `wss://HOST:443`.
     tls: Option<String>,
     /// The cost of the link, at least 1. By default it follows from the round-trip time.
     cost: Option<u32>,

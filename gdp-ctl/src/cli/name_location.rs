@@ -31,14 +31,14 @@ const PAUSE: Duration = Duration::from_millis(100);
 
 /// The located names, and who answers about their paths.
 pub struct Paths<'a> {
-    view: View<'a>,
+    view: Vantage<'a>,
     /// One location. A reader has one for each publisher.
     pub locations: Vec<LocateReply>,
     /// Round-trip time from this command to the first switch; 0 for that of this machine.
     pub first_us: u64,
 }
 
-enum View<'a> {
+enum Vantage<'a> {
     Daemon(Client),
     /// The registration is what entitles this command to answers.
     Switch {
@@ -55,8 +55,8 @@ enum Registration {
     Client(Box<ServiceClient>),
 }
 
-/// Locates a name by card file, whole name, or a unique prefix among the names that the daemon's
-/// switch knows; with `--switch`, among those of the keyring. Runs `what` with the paths.
+/// Locates a name by card file, whole name or unique prefix, and runs `what` with its paths. The
+/// names are those that the daemon's switch knows; with `--switch`, those of the keyring.
 pub fn with_paths<T>(
     name: &str,
     node: &NodeOptions,
@@ -69,7 +69,7 @@ pub fn with_paths<T>(
     }
     let mut client = context.client()?;
     let location = client.ask(&Request::Locate { what: prefix(name)? })?;
-    let mut paths = Paths { view: View::Daemon(client), locations: vec![location], first_us: 0 };
+    let mut paths = Paths { view: Vantage::Daemon(client), locations: vec![location], first_us: 0 };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(what(&mut paths))
 }
@@ -109,14 +109,14 @@ impl<'a> Paths<'a> {
         if locations.iter().all(|location| location.egress.is_empty()) {
             bail!("nobody receives {what} now, so no path leads there");
         }
-        Ok(Self { view: View::Switch { fabric, _registration: registration }, locations, first_us })
+        Ok(Self { view: Vantage::Switch { fabric, _registration: registration }, locations, first_us })
     }
 
     /// Returns the round-trip time of an echo to a neighbour of the daemon's switch.
     pub fn echo(&mut self, peer: Name) -> anyhow::Result<EchoReply> {
         match &mut self.view {
-            View::Daemon(client) => Ok(client.ask(&Request::Echo { peer })?),
-            View::Switch { .. } => Ok(EchoReply { rtt_us: None }),
+            Vantage::Daemon(client) => Ok(client.ask(&Request::Echo { peer })?),
+            Vantage::Switch { .. } => Ok(EchoReply { rtt_us: None }),
         }
     }
 
@@ -124,11 +124,11 @@ impl<'a> Paths<'a> {
     /// the switch.
     pub async fn probe(&mut self, location: &LocateReply, switch: Name, hops: u8) -> anyhow::Result<ProbeReply> {
         match &mut self.view {
-            View::Daemon(_) if switch == location.own => {
+            Vantage::Daemon(_) if switch == location.own => {
                 Ok(ProbeReply { switch: Some(switch), rtt_us: Some(0), end: Some(location.end.clone()) })
             }
-            View::Daemon(client) => Ok(client.ask(&Request::Probe { name: location.name, switch, hops })?),
-            View::Switch { fabric, .. } => {
+            Vantage::Daemon(client) => Ok(client.ask(&Request::Probe { name: location.name, switch, hops })?),
+            Vantage::Switch { fabric, .. } => {
                 let inspection = Inspection::Probe { name: location.name, egress: switch, hops };
                 let (Inspected::Probe(ProbeEnd { switch, links }), time) = inspect(fabric, inspection).await? else {
                     bail!("the switch answered another question");
@@ -142,7 +142,7 @@ impl<'a> Paths<'a> {
     /// Returns the domains behind a border. An endpoint is not shown any.
     pub fn beyond(&mut self, name: Name, border: Name, end: &PathEnd) -> anyhow::Result<Vec<DomainHop>> {
         let mut domains = Vec::new();
-        if let View::Daemon(client) = &mut self.view {
+        if let Vantage::Daemon(client) = &mut self.view {
             for beyond in &end.beyond {
                 let request = Request::Beyond { name, border, domain: beyond.domain, peer: beyond.switch };
                 domains.extend(client.ask::<BeyondReply>(&request)?.domains);

@@ -1,8 +1,9 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949
-//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`membership`], [`renewal`], [`switch`], [`statements`] and
-//! [`link_state`] define the claims. [`Signed`] keeps and verifies the exact bytes, and [`issued`]
-//! verifies the chain from a certificate to the owner of its name. [`request`] checks the
-//! signatures that a request needs. The RIB and the receivers of its answers call this module.
+//! §4.2.1). [`owner`], [`domain`], [`enrollment`], [`renewal`], [`switch`], [`statements`] and
+//! [`link_state`] define the claims. [`Signed`] keeps and verifies the exact bytes. [`issued`]
+//! verifies the chain from a certificate to the owner of its name, and [`membership`] that of a
+//! member. [`request`] checks the signatures that a request needs. The RIB and the receivers of its
+//! answers call this module.
 //!
 //! Domain separation: the type of a certificate is its external AAD and its protected content type,
 //! so one type never verifies as another. A COSE `Sig_structure` begins with a CBOR array head and

@@ -21,11 +21,11 @@ const SLOT: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct RecentRefusals {
     start: Instant,
-    entries: HashMap<(Name, &'static str), Entry>,
+    entries: HashMap<(Name, &'static str), Refusals>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct Refusals {
     what: RefusedThing,
     reason: String,
     at: Instant,
@@ -46,7 +46,7 @@ impl RecentRefusals {
             let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.at).map(|(key, _)| *key);
             oldest.and_then(|oldest| self.entries.remove(&oldest));
         }
-        let new = || Entry { what, reason: String::new(), at: now, slot, counts: [0; SLOTS] };
+        let new = || Refusals { what, reason: String::new(), at: now, slot, counts: [0; SLOTS] };
         let entry = self.entries.entry(key).or_insert_with(new);
         entry.advance(slot);
         let count = &mut entry.counts[slot as usize % SLOTS];
@@ -60,7 +60,7 @@ impl RecentRefusals {
         let slot = self.slot(now);
         let mut all: Vec<_> = self.entries.iter().filter(|(_, entry)| entry.count(slot) > 0).collect();
         all.sort_by_key(|(_, entry)| std::cmp::Reverse(entry.at));
-        let output = |(&(peer, _), entry): (&(Name, &str), &Entry)| RecentRefusal {
+        let output = |(&(peer, _), entry): (&(Name, &str), &Refusals)| RecentRefusal {
             peer,
             what: entry.what,
             reason: entry.reason.clone(),
@@ -75,7 +75,7 @@ impl RecentRefusals {
     }
 }
 
-impl Entry {
+impl Refusals {
     /// Returns the count of the slots up to this one.
     fn count(&self, slot: u64) -> u32 {
         let is_recent = |back: &u64| *back <= self.slot && slot.saturating_sub(self.slot) + back < SLOTS as u64;
