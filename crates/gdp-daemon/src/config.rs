@@ -322,7 +322,7 @@ struct NeighbourAddressEntry {
     tls: Option<String>,
     /// The cost of the link, at least 1. By default it follows from the round-trip time.
     cost: Option<u32>,
-    /// Makes the link from this side. Otherwise the switch with the smaller name does.
+    /// Makes the link from this side. Otherwise the switch with the smaller name does. `tls` sets it.
     #[serde(default)]
     dial: bool,
     /// The neighbour is a border of the domain above.
@@ -378,6 +378,12 @@ impl File {
         let tls = self.tls.map(|text| parse_tls(&text)).transpose().map_err(ParseError::Invalid)?;
         if tls.is_some() && matches!(self.udp, UdpConfig::Off) {
             return invalid("tls: links over TLS need the UDP port, which udp: null turns off; remove one".into());
+        }
+        if let (Some(_), UdpConfig::On(udp)) = (tls, &self.udp)
+            && udp.is_ipv6()
+            && !udp.ip().is_unspecified()
+        {
+            return invalid("tls: links over TLS need a UDP port that takes IPv4; set udp: '[::]:31415'".into());
         }
         if let Some(interfaces) = &self.interfaces {
             for neighbour in &neighbours {

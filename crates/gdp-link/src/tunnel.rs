@@ -21,6 +21,9 @@ mod queue;
 mod server;
 mod stream;
 
+/// Size of a loopback socket's buffers in bytes. A large message arrives on it in one burst.
+const LOOPBACK_BUFFER: usize = 4 << 20;
+
 pub use client::{Tunnel, TunnelError};
 pub use peers::TunnelPeers;
 pub use server::TlsListener;

@@ -90,15 +90,15 @@ impl NodeOptions {
         })
     }
 
-    /// Returns the link to attach by.
-    fn link(&self, context: &Context) -> anyhow::Result<LinkConfig> {
+    /// Returns the links to attach by, in order of preference.
+    fn links(&self, context: &Context) -> anyhow::Result<Vec<LinkConfig>> {
         if let Some(switch) = &self.switch {
-            return Ok(switch.clone().into());
+            return Ok(vec![switch.clone().into()]);
         }
         let folder = self.folder()?;
         match Keyring::is_joined(&folder) {
-            true => joined::link(&folder),
-            false => Ok(local_switch(&mut context.client()?)?.into()),
+            true => joined::links(&folder),
+            false => Ok(vec![local_switch(&mut context.client()?)?.into()]),
         }
     }
 
@@ -141,13 +141,16 @@ impl NodeOptions {
         context: &Context,
         what: impl AsyncFnOnce(&mut Fabric) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let (identity, link) = (self.identity()?, self.link(context)?);
+        let (identity, links) = (self.identity()?, self.links(context)?);
         // A worker thread keeps the link alive while the main thread is blocked by a stopped
         // terminal.
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         runtime.block_on(async {
-            let attaching = format!("attaching at {}", link.target);
-            let mut fabric = while_waiting(&attaching, Fabric::join(keyring, identity, link)).await?;
+            let attaching = match links.first() {
+                Some(link) => format!("attaching at {}", link.target),
+                None => "attaching".to_owned(),
+            };
+            let mut fabric = while_waiting(&attaching, Fabric::join(keyring, identity, links)).await?;
             let done = what(&mut fabric).await;
             fabric.node.close().await;
             done

@@ -36,10 +36,11 @@ pub struct Entities {
 
 impl Fabric {
     /// Attaches to a switch.
-    pub async fn join(keyring: Keyring, identity: Identity, link: LinkConfig) -> anyhow::Result<Self> {
+    pub async fn join(keyring: Keyring, identity: Identity, links: Vec<LinkConfig>) -> anyhow::Result<Self> {
         let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
-        let target = link.target.to_string();
-        let config = NodeConfig { credentials, links: vec![link.clone()], ..NodeConfig::new(identity, link.target) };
+        let first = links.first().context("no link to a switch")?.target.clone();
+        let target = first.to_string();
+        let config = NodeConfig { credentials, links, ..NodeConfig::new(identity, first) };
         let node = Node::connect(config).await.with_context(|| format!("cannot attach at {target}"))?;
         Ok(Self { node, keyring })
     }

@@ -23,16 +23,19 @@ struct LinkEntry {
     switch: Option<String>,
 }
 
-/// Returns the first link of the proxy's configuration in this folder.
-pub fn link(folder: &Path) -> anyhow::Result<LinkConfig> {
+/// Returns the links of the proxy's configuration in this folder, in order of preference.
+pub fn links(folder: &Path) -> anyhow::Result<Vec<LinkConfig>> {
     let path = folder.join("proxy.yaml");
     let read = || {
         let mut text = String::new();
         File::open(&path)?.take(MAX_FILE).read_to_string(&mut text)?;
         let ProxyFile { links } = gdp_util::yaml::parse(&text).map_err(|error| anyhow!(error))?;
-        let LinkEntry { to, switch } = links.into_iter().next().context("it has no link")?;
-        let switch = switch.map(|name| name.parse()).transpose()?;
-        anyhow::Ok(LinkConfig { switch, ..LinkConfig::from(to.parse::<gdp::LinkTarget>()?) })
+        let link = |LinkEntry { to, switch }: LinkEntry| {
+            let switch = switch.map(|name| name.parse()).transpose()?;
+            anyhow::Ok(LinkConfig { switch, ..LinkConfig::from(to.parse::<gdp::LinkTarget>()?) })
+        };
+        let links = links.into_iter().map(link).collect::<anyhow::Result<Vec<_>>>()?;
+        if links.is_empty() { Err(anyhow!("it has no link")) } else { Ok(links) }
     };
     read().with_context(|| format!("{}: no link to the switch; give one with --switch", path.display()))
 }

@@ -64,8 +64,8 @@ fn memberships_renew_themselves_while_the_key_of_the_domain_is_offline() -> Resu
     let successor = scene.path("home/successor.pem");
     let line = scene.ctl(&["invite", "robot9", "--expose", "/chatter", "--key", &successor])?;
     scene.join("robot9", &line)?;
-    scene.ctl(&["revoke", "robot7", "--key", &successor])?;
-    scene.refuses("robot7")
+    scene.ctl(&["revoke", "robot9", "--key", &successor])?;
+    scene.refuses("robot9")
 }
 
 #[test]

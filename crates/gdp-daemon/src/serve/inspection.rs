@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use gdp_core::peer::Role;
 use gdp_link::link::Link;
 use gdp_proto::control::{
     AttachmentStatus, Inspected, Inspection, MAX_STATED_LINKS, MAX_STATED_NAMES, NameLocation, OwnLink, ProbeEnd,
@@ -38,9 +39,12 @@ async fn inspect(daemon: &Arc<Daemon>, link: &Link, inspection: Inspection) -> R
         if !state.is_some_and(|state| state.inspections.take(now)) {
             return Err(Refusal::new(RefusalCode::Limit, "too many questions to this switch; try again in a second"));
         }
+        if link.peer().role == Role::Endpoint && !core.switch.attached.contains(&link.peer().name) {
+            return Err(Refusal::new(RefusalCode::NotEntitled, "the endpoint is not attached to this switch yet"));
+        }
     }
     match inspection {
-        Inspection::Status => Ok(Inspected::Status(Box::new(attachment(&daemon.core(), link.peer().name)))),
+        Inspection::Status => Ok(Inspected::Status(Box::new(attachment(daemon, link.peer().name)))),
         Inspection::Locate { name } => daemon.core().location_for(link, name).map(Inspected::Location),
         Inspection::Probe { name, egress, hops } => {
             let location = daemon.core().location_for(link, name)?;
@@ -101,26 +105,27 @@ impl Core {
 }
 
 /// Returns this switch's status for an endpoint.
-fn attachment(core: &Core, endpoint: Name) -> AttachmentStatus {
+fn attachment(daemon: &Daemon, endpoint: Name) -> AttachmentStatus {
+    let core = daemon.core();
     let links = core.switch.links_of(&endpoint).filter_map(|id| core.switch.links.get(&id));
     let (names, truncated) = core.switch.routes.names_of(&endpoint, MAX_STATED_NAMES);
     AttachmentStatus {
         switch: core.name(),
         release: env!("CARGO_PKG_VERSION").into(),
         domain: core.membership.home(),
-        data_plane: status::data_plane(core).0.into(),
+        data_plane: status::data_plane(&core).0.into(),
         no_rib: core.rib_at().err().filter(|_| core.rib_host.rib.is_none()).map(|refusal| refusal.reason),
-        links: links.take(MAX_STATED_LINKS).map(own_link).collect(),
+        links: links.take(MAX_STATED_LINKS).map(|state| own_link(daemon, state)).collect(),
         names,
         truncated,
     }
 }
 
-fn own_link(state: &LinkState) -> OwnLink {
+fn own_link(daemon: &Daemon, state: &LinkState) -> OwnLink {
     let link = &state.link;
     OwnLink {
         lane: link.peer().lane,
-        address: link.addr().to_string(),
+        address: daemon.peer_address(link),
         mtu: link.mtu(),
         rtt_us: link.rtt().as_micros() as u64,
         age_s: state.since.elapsed().as_secs(),

@@ -217,16 +217,20 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
             Some(link) => {
                 let up = Instant::now();
                 let reason = tokio::select! {
-                    reason = link.closed() => reason,
+                    biased;
                     preferred = answers_over_udp(port, switch, &ways), if matches!(via, Via::Tls(_)) => {
-                        link.close("the switch answers over UDP");
                         turns = ways.iter().cycle().peekable();
                         match links::take(daemon, preferred, ways[0].clone()).await {
                             Ok(()) => continue,
                             Err(reason) => format!("refused a link: {reason}"),
                         }
                     }
+                    reason = link.closed() => reason,
                 };
+                // The other side may have closed it because the one over UDP came.
+                if matches!(via, Via::Tls(_)) && reason.contains("replaced") {
+                    turns = ways.iter().cycle().peekable();
+                }
                 if up.elapsed() > LONGEST_DELAY {
                     retry.reset();
                 }

@@ -7,20 +7,33 @@ use std::net::{IpAddr, Ipv6Addr};
 pub const MAX_TUNNELS: usize = 1024;
 
 /// Maximum number of tunnels from one [source](source_of). A NAT may hide many robots.
-const MAX_TUNNELS_OF_ONE: usize = 128;
+pub const MAX_TUNNELS_OF_ONE: usize = 128;
 
-/// The tunnels by source.
-#[derive(Debug, Default)]
+/// Maximum number of connections whose TLS handshake is not complete.
+pub const MAX_OPENING: usize = 64;
+
+/// Maximum number of these from one source.
+pub const MAX_OPENING_OF_ONE: usize = 16;
+
+/// Connections by source.
+#[derive(Debug)]
 pub struct Admission {
+    max: usize,
+    max_of_one: usize,
     total: usize,
     by_source: HashMap<IpAddr, usize>,
 }
 
 impl Admission {
-    /// Counts a tunnel. Returns `false` if there are too many.
+    /// Admits `max` connections, and `max_of_one` from one source.
+    pub fn new(max: usize, max_of_one: usize) -> Self {
+        Self { max, max_of_one, total: 0, by_source: HashMap::new() }
+    }
+
+    /// Counts a connection. Returns `false` if there are too many.
     pub fn admit(&mut self, source: IpAddr) -> bool {
         let of_one = self.by_source.get(&source).copied().unwrap_or(0);
-        if self.total >= MAX_TUNNELS || of_one >= MAX_TUNNELS_OF_ONE {
+        if self.total >= self.max || of_one >= self.max_of_one {
             return false;
         }
         self.total += 1;
@@ -28,7 +41,7 @@ impl Admission {
         true
     }
 
-    /// Ends a tunnel that was admitted.
+    /// Ends a connection that was admitted.
     pub fn release(&mut self, source: IpAddr) {
         self.total -= 1;
         if let Some(count) = self.by_source.get_mut(&source) {

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,10 +17,14 @@ use tokio_tungstenite::client_async_with_config;
 
 use super::framing::{Incoming, Outgoing, by_length, by_message, websocket_config};
 use super::http_proxy::{HttpProxy, HttpProxyError};
-use super::{credentials, pump, stream};
+use super::{LOOPBACK_BUFFER, credentials, pump, stream};
+use crate::port::sys;
 
 /// Maximum time until a tunnel is open.
 const OPENING: Duration = Duration::from_secs(5);
+
+/// Maximum time for one of a host's addresses.
+const ONE_ADDRESS: Duration = Duration::from_millis(1500);
 
 /// The reason why a tunnel could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -62,6 +67,7 @@ impl Tunnel {
             .await
             .unwrap_or_else(|_| Err(TunnelError::Timeout { to: to.clone() }))?;
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(TunnelError::Loopback)?;
+        sys::set_buffers(socket.as_fd(), LOOPBACK_BUFFER, LOOPBACK_BUFFER);
         socket.connect(endpoint).await.map_err(TunnelError::Loopback)?;
         let local = socket.local_addr().map_err(TunnelError::Loopback)?;
         let (sender, running) = watch::channel(());
@@ -129,7 +135,17 @@ async fn connect(
 }
 
 async fn tcp(host: &str, port: u16) -> io::Result<TcpStream> {
-    let tcp = TcpStream::connect((host, port)).await?;
-    stream::prepare(&tcp)?;
-    Ok(tcp)
+    let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+    for addr in tokio::net::lookup_host((host, port)).await? {
+        // An address that does not answer leaves time for the next one.
+        match timeout(ONE_ADDRESS, TcpStream::connect(addr)).await {
+            Ok(Ok(tcp)) => {
+                stream::prepare(&tcp)?;
+                return Ok(tcp);
+            }
+            Ok(Err(error)) => failed = error,
+            Err(_) => failed = io::ErrorKind::TimedOut.into(),
+        }
+    }
+    Err(failed)
 }

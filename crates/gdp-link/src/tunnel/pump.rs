@@ -14,8 +14,8 @@ use super::framing::{Incoming, MAX_DATAGRAM, Outgoing};
 use super::queue::DatagramQueue;
 use super::stream::UNSENT;
 
-/// Time without a datagram of the peer after which a tunnel ends. Links send keep-alive packets
-/// each second.
+/// Time without a datagram of the peer, or without one for it, after which a tunnel ends. Links
+/// send keep-alive packets each second.
 const IDLE: Duration = Duration::from_secs(15);
 
 /// Memory that datagrams are received into, in bytes.
@@ -25,13 +25,22 @@ const CHUNK: usize = 8 * MAX_DATAGRAM;
 /// socket must be connected, so that no other program's datagrams arrive on it.
 pub async fn run((mut incoming, mut outgoing): (Incoming, Outgoing), socket: UdpSocket) -> io::Result<()> {
     let (queue, queued) = (Mutex::new(DatagramQueue::default()), Notify::new());
+    let answered = Mutex::new(Instant::now());
     let inward = async {
+        let silent = || io::Error::new(io::ErrorKind::TimedOut, "one end of the tunnel is silent");
+        let mut last = Instant::now();
         loop {
-            let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "the peer of the tunnel is silent");
-            match timeout(IDLE, incoming.next()).await.map_err(silent)? {
+            // Empty datagrams do not keep a tunnel.
+            let left = IDLE.saturating_sub(last.elapsed());
+            match timeout(left, incoming.next()).await.map_err(|_| silent())? {
+                Some(Ok(datagram)) if datagram.is_empty() => continue,
                 Some(datagram) => pass_refused(socket.send(&datagram?).await)?,
                 None => return Ok(()),
             };
+            last = Instant::now();
+            if answered.lock().elapsed() > IDLE {
+                return Err(silent());
+            }
         }
     };
     let receive = async {
@@ -41,6 +50,7 @@ pub async fn run((mut incoming, mut outgoing): (Incoming, Outgoing), socket: Udp
                 chunk = BytesMut::with_capacity(CHUNK);
             }
             if pass_refused(socket.recv_buf(&mut chunk).await)? > 0 {
+                *answered.lock() = Instant::now();
                 queue.lock().push(Instant::now(), chunk.split().freeze());
                 queued.notify_one();
             }

@@ -5,17 +5,17 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp_wire::header::FIRST_QUIC_BYTE;
+use gdp_wire::FrameType;
 
 /// Maximum number of bytes in the queue.
-const MAX_BYTES: usize = 256 << 10;
+const MAX_BYTES: usize = 1 << 20;
 
 /// Maximum time for which a data frame waits. A newer message then has a chance to arrive in time.
 pub const MAX_AGE: Duration = Duration::from_millis(100);
 
 #[derive(Default)]
 pub struct DatagramQueue {
-    /// QUIC packets precede data frames, because they keep the link up.
+    /// QUIC packets, echoes and error frames precede data frames, because they keep the link up.
     control: VecDeque<Bytes>,
     /// Data frames with the times of their arrival.
     data: VecDeque<(Instant, Bytes)>,
@@ -32,7 +32,7 @@ impl DatagramQueue {
         }
         let Some(first) = datagram.first() else { return };
         self.bytes += datagram.len();
-        match *first < FIRST_QUIC_BYTE {
+        match *first == FrameType::Data.first_byte() {
             true => self.data.push_back((now, datagram)),
             false => self.control.push_back(datagram),
         }

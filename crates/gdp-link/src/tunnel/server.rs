@@ -3,6 +3,7 @@
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::Duration;
 use std::{fs, io};
@@ -16,10 +17,11 @@ use tokio::time::{sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tokio_tungstenite::accept_async_with_config;
 
-use super::admission::{Admission, source_of};
+use super::admission::{Admission, MAX_OPENING, MAX_OPENING_OF_ONE, MAX_TUNNELS, MAX_TUNNELS_OF_ONE, source_of};
 use super::framing::{FIRST_WEBSOCKET_BYTE, Incoming, Outgoing, by_length, by_message, websocket_config};
 use super::peers::TunnelPeers;
-use super::{credentials, pump, stream};
+use super::{LOOPBACK_BUFFER, credentials, pump, stream};
+use crate::port::sys;
 
 /// Maximum time from a TCP connection to the first datagram's framing.
 const OPENING: Duration = Duration::from_secs(5);
@@ -43,6 +45,8 @@ struct Tunnels {
     /// Address of the switch's UDP port.
     switch: SocketAddr,
     admission: Mutex<Admission>,
+    /// The connections that are being opened.
+    opening: Mutex<Admission>,
     peers: TunnelPeers,
     /// Makes loopback addresses that peers cannot choose.
     hasher: RandomState,
@@ -62,8 +66,10 @@ impl TlsListener {
     /// Runs tunnels to the switch with this UDP address, and shows their peers in `peers`. Dropping
     /// the future ends them.
     pub async fn run(self, switch: SocketAddr, peers: TunnelPeers) {
-        let (admission, hasher) = (Mutex::default(), RandomState::new());
-        let tunnels = Arc::new(Tunnels { tls: self.tls, switch, admission, peers, hasher });
+        let admission = Mutex::new(Admission::new(MAX_TUNNELS, MAX_TUNNELS_OF_ONE));
+        let opening = Mutex::new(Admission::new(MAX_OPENING, MAX_OPENING_OF_ONE));
+        let hasher = RandomState::new();
+        let tunnels = Arc::new(Tunnels { tls: self.tls, switch, admission, opening, peers, hasher });
         let mut running = JoinSet::new();
         loop {
             while running.try_join_next().is_some() {}
@@ -103,9 +109,15 @@ impl Admitted {
 
     async fn serve(self, tcp: TcpStream, peer: SocketAddr) -> io::Result<()> {
         stream::prepare(&tcp)?;
-        let datagrams = timeout(OPENING, self.open(tcp)).await??;
+        if !self.tunnels.opening.lock().admit(self.source) {
+            return Err(io::Error::other("too many connections are being opened"));
+        }
+        let opened = timeout(OPENING, self.open(tcp)).await;
+        self.tunnels.opening.lock().release(self.source);
+        let datagrams = opened??;
         let (from, switch) = self.tunnels.path(self.source);
         let socket = UdpSocket::bind((from, 0)).await?;
+        sys::set_buffers(socket.as_fd(), LOOPBACK_BUFFER, LOOPBACK_BUFFER);
         socket.connect(switch).await?;
         let listed = ListedPeer { peers: &self.tunnels.peers, local: socket.local_addr()? };
         listed.peers.add(listed.local, peer);

@@ -6,7 +6,8 @@ use super::*;
 
 #[test]
 fn one_source_leaves_room_for_others() {
-    let (mut admission, [one, other]) = (Admission::default(), ["192.0.2.1", "192.0.2.2"].map(address));
+    let (mut admission, [one, other]) =
+        (Admission::new(MAX_TUNNELS, MAX_TUNNELS_OF_ONE), ["192.0.2.1", "192.0.2.2"].map(address));
     let admitted = (0..MAX_TUNNELS).filter(|_| admission.admit(one)).count();
     assert_eq!(admitted, MAX_TUNNELS_OF_ONE);
     assert!(admission.admit(other));
@@ -17,7 +18,8 @@ fn one_source_leaves_room_for_others() {
 
 #[test]
 fn all_tunnels_are_bounded_and_counted_down() {
-    let (mut admission, sources) = (Admission::default(), (0..2 * MAX_TUNNELS as u32).map(Ipv4Addr::from_bits));
+    let (mut admission, sources) =
+        (Admission::new(MAX_TUNNELS, MAX_TUNNELS_OF_ONE), (0..2 * MAX_TUNNELS as u32).map(Ipv4Addr::from_bits));
     let admitted: Vec<_> = sources.map(IpAddr::from).filter(|source| admission.admit(*source)).collect();
     assert_eq!(admitted.len(), MAX_TUNNELS);
     admitted.into_iter().for_each(|source| admission.release(source));

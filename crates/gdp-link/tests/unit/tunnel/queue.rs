@@ -1,9 +1,10 @@
 //! Unit tests of the queue of datagrams.
 
 use super::*;
+use gdp_wire::header::FIRST_QUIC_BYTE;
 
 fn frame(number: u8, length: usize) -> Bytes {
-    let mut bytes = vec![1; length];
+    let mut bytes = vec![FrameType::Data.first_byte(); length];
     bytes[1] = number;
     bytes.into()
 }
@@ -28,13 +29,13 @@ fn the_oldest_frames_are_dropped_when_the_queue_is_full() {
     let (mut queue, now) = (DatagramQueue::default(), Instant::now());
     let packet = Bytes::from_static(&[FIRST_QUIC_BYTE, 9]);
     queue.push(now, packet.clone());
-    for number in 0..100 {
+    for number in 0..200 {
         queue.push(now, frame(number, 8 << 10));
         assert!(queue.bytes <= MAX_BYTES);
     }
     assert_eq!(queue.pop(now), Some(packet));
     let first = queue.pop(now).unwrap();
-    assert_eq!(first[1], 69, "31 of the newest frames and the packet fit");
+    assert_eq!(first[1], 73, "127 of the newest frames and the packet fit");
     for number in 0..100 {
         let large = [vec![FIRST_QUIC_BYTE, number], vec![0; 8 << 10]].concat();
         queue.push(now, large.into());

@@ -238,12 +238,11 @@ impl Switch {
         self.peers.get(&(*peer, 0)).and_then(|id| self.links.get(id))
     }
 
-    /// Returns the open link that a new one would replace, if a program of the same endpoint that
-    /// started at another time has it.
+    /// Returns an open link of the same endpoint, on any lane, whose program started at another
+    /// time than that of a new one.
     pub fn link_of_another_run(&self, new: &Link) -> Option<Link> {
-        let id = self.peers.get(&(new.peer().name, new.peer().lane))?;
-        let link = &self.links.get(id)?.link;
-        (link.close_reason().is_none() && link.is_of_another_run(new)).then(|| link.clone())
+        let mut links = self.links_of(&new.peer().name).filter_map(|id| Some(&self.links.get(&id)?.link));
+        links.find(|link| link.close_reason().is_none() && link.is_of_another_run(new)).cloned()
     }
 
     pub fn has_first_lane(&self, peer: &Name) -> bool {
