@@ -322,7 +322,8 @@ struct NeighbourAddressEntry {
     tls: Option<String>,
     /// The cost of the link, at least 1. By default it follows from the round-trip time.
     cost: Option<u32>,
-    /// Makes the link from this side. Otherwise the switch with the smaller name does. `tls` sets it.
+    /// Makes the link from this side, as with `tls`. Otherwise the switch with the smaller name
+    /// does.
     #[serde(default)]
     dial: bool,
     /// The neighbour is a border of the domain above.
