@@ -39,7 +39,8 @@ async fn inspect(daemon: &Arc<Daemon>, link: &Link, inspection: Inspection) -> R
         if !state.is_some_and(|state| state.inspections.take(now)) {
             return Err(Refusal::new(RefusalCode::Limit, "too many questions to this switch; try again in a second"));
         }
-        if link.peer().role == Role::Endpoint && !core.switch.attached.contains(&link.peer().name) {
+        let is_attached = link.peer().role != Role::Endpoint || core.switch.attached.contains(&link.peer().name);
+        if matches!(inspection, Inspection::Status) && !is_attached {
             return Err(Refusal::new(RefusalCode::NotEntitled, "the endpoint is not attached to this switch yet"));
         }
     }

@@ -36,7 +36,7 @@ fn the_oldest_frames_are_dropped_when_the_queue_is_full() {
     assert_eq!(queue.pop(now), Some(packet));
     let first = queue.pop(now).unwrap();
     assert_eq!(first[1], 73, "127 of the newest frames and the packet fit");
-    for number in 0..100 {
+    for number in 0..200 {
         let large = [vec![FIRST_QUIC_BYTE, number], vec![0; 8 << 10]].concat();
         queue.push(now, large.into());
         assert!(queue.bytes <= MAX_BYTES);

@@ -69,7 +69,7 @@ async fn one_address_has_a_bounded_number_of_connections() {
         let ended = timeout(Duration::from_millis(20), stream.read(&mut [0])).await;
         closed += usize::from(ended.is_ok());
     }
-    assert_eq!(closed, 200 - 128);
+    assert_eq!(closed, 200 - MAX_OPENING_OF_ONE);
 }
 
 #[tokio::test]
