@@ -27,7 +27,8 @@ use crate::cli::issuing::validity;
 /// How often the directory is made again, because certificates expire.
 const AGAIN: Duration = Duration::from_secs(600);
 
-/// How often memberships are looked at. A clock that was set back makes them be renewed again.
+/// How often memberships are looked at: ten times in their lifetime, and at least this often. A
+/// clock that was set back makes them be renewed again.
 const LOOK: Duration = Duration::from_secs(5);
 
 /// Versions of the directory that readers may request again.
@@ -80,10 +81,11 @@ async fn serve(home: Home) -> anyhow::Result<()> {
     let (directory, join) = (directory_card(key.verify_key())?, join_card(key.verify_key())?);
     let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
     let mut server = node.serve(join.proof(), own_right(&key, &join, node.name())?).await?;
+    let look = LOOK.min(Duration::from_secs((home.address()?.lifetime / 10).max(1)));
     let mut running = JoinServer { home, service, publisher, published: Vec::new() };
     running.publish();
     tracing::info!("the join service is ready");
-    let (mut again, mut looks) = (tokio::time::interval(AGAIN), tokio::time::interval(LOOK));
+    let (mut again, mut looks) = (tokio::time::interval(AGAIN), tokio::time::interval(look));
     loop {
         tokio::select! {
             call = server.recv() => match call {
