@@ -32,7 +32,6 @@ pub mod join;
 pub mod manager;
 pub mod material;
 mod material_error;
-mod membership;
 mod node_name;
 mod offload;
 pub mod peer_proxies;

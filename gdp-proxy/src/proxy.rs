@@ -23,7 +23,6 @@ use crate::directory::{self, Members};
 use crate::graph;
 use crate::interfaces::Interfaces;
 use crate::manager::ChangeCounts;
-use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
 use crate::route_material::RouteMaterial;
 use crate::route_status::{RouteStatus, ticks};
@@ -91,7 +90,12 @@ async fn carry(
 
     let files = loaded.config.domain.as_ref().map(CredentialFiles::from);
     let watched = loaded.material.credentials.take().map(|(_, watched)| watched);
-    let mut keeping = std::pin::pin!(store_credentials(&node, files.as_ref().zip(watched)));
+    let mut keeping = std::pin::pin!(async {
+        match files.as_ref().zip(watched) {
+            Some((files, watched)) => node.follow_credentials(files, watched).await,
+            None => std::future::pending().await,
+        }
+    });
 
     let mut running = Running {
         routes: routes::manager(node.clone(), types.clone()),

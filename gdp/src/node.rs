@@ -59,6 +59,7 @@ mod subscription;
 mod subscription_receiver;
 mod supervisor;
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use gdp_wire::Name;
@@ -75,11 +76,12 @@ use self::revoked::Revoked;
 use self::state::State;
 use self::statement::Statement;
 use gdp_core::cert::{AdCert, Issued, Reading as Grant};
-use gdp_core::domain::Credentials;
+use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::peer::MAX_LANES;
 use gdp_link::link::LinkError;
 use gdp_proto::control::{Inspected, Inspection, Record, RecordKey, Request, Response};
+use gdp_util::file_watch::FileSet;
 use gdp_util::unix_time::unix_seconds;
 
 pub use attachment::SETTLING;
@@ -311,6 +313,25 @@ impl Node {
             }
         }
         Ok(())
+    }
+
+    /// Keeps the credentials equal to the files, forever, and presents new ones to the switches
+    /// over the existing links. `watched` has the same files, and was created before the node's
+    /// credentials were read. Errors are logged, and what was there goes on to count.
+    pub async fn follow_credentials(&self, files: &CredentialFiles, mut watched: FileSet) -> Infallible {
+        loop {
+            watched.changed().await;
+            let renewed = match files.load() {
+                Ok(credentials) => self.renew_credentials(credentials).await.map_err(|error| error.to_string()),
+                Err(error) => Err(error.to_string()),
+            };
+            match renewed {
+                Ok(()) => tracing::info!("took a renewed membership"),
+                Err(error) => {
+                    tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}")
+                }
+            }
+        }
     }
 
     /// Detaches from the switch, which withdraws all routes of the node at once. Publishers and

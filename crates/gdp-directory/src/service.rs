@@ -183,9 +183,8 @@ impl JoinService {
         for enrolled in self.members.values_mut() {
             let Ok(claims) = enrolled.enrollment.claims_unverified() else { continue };
             let Some(delegation) = self.renewals.get(&claims.member) else { continue };
-            let is_due = enrolled.membership.is_half_over(now / 1_000_000_000).unwrap_or(false);
-            if let Some(membership) =
-                is_due.then(|| enrolled.membership.renew(&self.key, delegation, now).ok()).flatten()
+            if enrolled.membership.is_half_over(now / 1_000_000_000) == Ok(true)
+                && let Ok(membership) = enrolled.membership.renew(&self.key, delegation, now)
             {
                 enrolled.membership = membership;
                 renewed = true;

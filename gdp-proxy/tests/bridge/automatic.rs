@@ -2,7 +2,7 @@
 
 use gdp_tests::dds_domain::lease;
 use std::fs;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use gdp_e2e::seal::Encoding;
 use gdp_proxy::automatic::choice::GRACE;
@@ -10,7 +10,7 @@ use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 
 use super::master::Master;
 use super::site::Site;
-use super::{RELIABLE, TIMEOUT, cdr, graph, within};
+use super::{RELIABLE, cdr, graph, until, within};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
@@ -177,12 +177,4 @@ fn by_pattern(site: &Site) -> (String, String) {
 fn text(cdr: &[u8]) -> &str {
     let length = u32::from_le_bytes(cdr[4..8].try_into().unwrap()) as usize;
     std::str::from_utf8(&cdr[8..8 + length - 1]).unwrap()
-}
-
-async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + TIMEOUT;
-    while !is_so() {
-        assert!(Instant::now() < deadline, "not in {TIMEOUT:?}: {what}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
 }

@@ -233,26 +233,14 @@ async fn what_a_topic_waits_for_is_said_once_and_ends_with_a_publisher() {
     let _subscriber = others.reader(&topic("/read"), &kind, &RELIABLE).unwrap();
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let proxy = site.proxy_of("a", &domain(id), &topics, "direction: out", "diagnostics: true");
-    let waiting = |value: &'static str| {
-        let proxy = &proxy;
-        async move {
-            while proxy.topics().first().is_none_or(|topic| topic["waiting_for"] != value) {
-                tokio::time::sleep(std::time::Duration::from_millis(50)).await;
-            }
-        }
-    };
-    within("the statistics", waiting("local_publisher")).await;
+    let waits_for = |value: &str| proxy.topics().first().is_some_and(|topic| topic["waiting_for"] == value);
+    until("the statistics", || waits_for("local_publisher")).await;
     let line = format!("waiting for a local publisher of topic /chatter in domain {id}");
     let logged = || {
         let log = std::fs::read_to_string(site.folder("a").join("log")).unwrap();
         log.lines().filter(|text| text.contains(&line)).map(str::to_owned).collect::<Vec<_>>()
     };
-    within("the log", async {
-        while logged().is_empty() {
-            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
-        }
-    })
-    .await;
+    until("the log", || !logged().is_empty()).await;
     assert!(logged()[0].contains("seen there: /other") && !logged()[0].contains("/read"), "{:?}", logged());
 
     let listening = Domain::join(id, "listener").unwrap();
@@ -264,16 +252,11 @@ async fn what_a_topic_waits_for_is_said_once_and_ends_with_a_publisher() {
     let talker = others.writer(&topic("/chatter"), &kind, &RELIABLE).unwrap();
     while !says(&received(&reader).await, "a reader") {}
     assert!(!says(&received(&reader).await, "a local publisher"));
-    within("the statistics", waiting("reader")).await;
+    until("the statistics", || waits_for("reader")).await;
     let subscription = site.subscribe(&topics[0]).await;
-    within("the statistics", async {
-        while proxy.topics()[0]["waiting_for"] != serde_json::Value::Null {
-            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
-        }
-    })
-    .await;
+    until("the statistics", || proxy.topics()[0]["waiting_for"].is_null()).await;
     drop((talker, subscription));
-    within("the statistics", waiting("local_publisher")).await;
+    until("the statistics", || waits_for("local_publisher")).await;
     tokio::time::sleep(std::time::Duration::from_secs(7)).await;
     assert_eq!(logged().len(), 1, "once: {:?}", logged());
     listening.leave().await;

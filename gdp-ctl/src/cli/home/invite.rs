@@ -16,7 +16,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::renewals::RENEWABLE;
+use super::renewals::{RENEWABLE, delegate_renewal};
 use super::{APPLICANTS, DAY, Home, HomeOptions, files};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
@@ -198,7 +198,7 @@ impl Home {
         if role != roles::APPLICANT {
             self.keep_signed(files::ENROLLMENTS, [(label.clone(), enrolling.enrollment.to_pem())])?;
             if ends > member_until {
-                let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
+                let renewal = delegate_renewal(&authority, join_service, serial, lifetime, ends)?;
                 self.keep_signed(files::RENEWALS, [(label.clone(), renewal.to_pem())])?;
             }
         }

@@ -10,7 +10,7 @@ use gdp::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publishe
 use gdp_core::card::NameCard;
 use gdp_core::cbor;
 use gdp_core::cert::{AdCert, Issued, issue};
-use gdp_core::domain::Credentials;
+use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::secret_file;
 use gdp_directory::messages::{JoinReply, JoinRequest};
@@ -70,14 +70,17 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 async fn serve(home: Home) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
     let files = [files::ENROLLMENTS, files::RENEWALS, files::MEMBERSHIPS, files::DECISIONS];
-    let others = [home.revocation_path(), home.member_file(renewals::JOIN)];
-    let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain(others).collect();
+    let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain([home.revocation_path()]).collect();
     // Created before the file is read, so that no change is missed.
     let mut changed = FileSet::new(&watcher, signed.iter().map(PathBuf::as_path));
     let service = members::stored(&home)?;
     home.renew_all_own();
     let key = SigningKey::load(&home.path("join.pem"))?;
-    let node = connect(&home, &key).await?;
+    let (card, membership) = (home.path("domain.card"), home.member_file(renewals::JOIN));
+    let credentials = CredentialFiles { card, membership, peers: Vec::new() };
+    let watched = FileSet::new(&watcher, credentials.paths());
+    let node = connect(&home, &key, credentials.load()?).await?;
+    let mut keeping = std::pin::pin!(node.follow_credentials(&credentials, watched));
     let (directory, join) = (directory_card(key.verify_key())?, join_card(key.verify_key())?);
     let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
     let mut server = node.serve(join.proof(), own_right(&key, &join, node.name())?).await?;
@@ -92,8 +95,8 @@ async fn serve(home: Home) -> anyhow::Result<()> {
                 Some(call) => running.answer(call).await?,
                 None => bail!("the right to serve has ended: {}; run `gdp-ctl up` again", server.ended().await),
             },
+            never = &mut keeping => match never {},
             () = changed.changed() => {
-                running.show_membership(&node).await;
                 if members::update(&running.home, &mut running.service)? {
                     running.store()?;
                     running.publish();
@@ -141,17 +144,6 @@ impl JoinServer {
         Ok(())
     }
 
-    /// Shows the switch the newest membership of this service.
-    async fn show_membership(&self, node: &Node) {
-        let shown = async {
-            let membership = self.home.membership(renewals::JOIN)?;
-            anyhow::Ok(node.renew_credentials(Credentials { membership, peers: Vec::new() }).await?)
-        };
-        if let Err(error) = shown.await {
-            tracing::error!("the renewed membership is not taken: {error:#}");
-        }
-    }
-
     /// Renews the memberships of which half has passed.
     fn renew(&mut self) {
         self.home.renew_all_own();
@@ -187,13 +179,12 @@ fn own_right(key: &SigningKey, card: &NameCard, entity: Name) -> anyhow::Result<
     Ok(issue(key, &AdCert { name: card.name(), entity, scope: vec![], serial, not_before, not_after })?.into())
 }
 
-async fn connect(home: &Home, key: &SigningKey) -> anyhow::Result<Node> {
+async fn connect(home: &Home, key: &SigningKey, credentials: Credentials) -> anyhow::Result<Node> {
     let address = home.address()?;
     let identity = Identity::new(key.clone(), "tool");
-    let credentials = Some(Credentials { membership: home.membership(renewals::JOIN)?, peers: Vec::new() });
     let target = address.local();
     let links = vec![LinkConfig { target: target.clone(), switch: Some(address.switch), budget: None }];
-    let config = NodeConfig { links, credentials, ..NodeConfig::new(identity, target) };
+    let config = NodeConfig { links, credentials: Some(credentials), ..NodeConfig::new(identity, target) };
     loop {
         match Node::connect(config.clone()).await {
             Ok(node) => return Ok(node),

@@ -6,7 +6,7 @@ use std::fs;
 use anyhow::Context as _;
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{MemberCert, Membership, RenewalDelegation, Signed, issue};
-use gdp_core::identity::SigningKey;
+use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::secret_file;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use gdp_wire::Name;
@@ -35,21 +35,21 @@ pub fn is_of_server(role: &str) -> bool {
     role == roles::APPLICANT || OWN.iter().any(|own| own.role == role)
 }
 
-impl Home {
-    /// Signs that the join service may renew the membership with this serial until `not_after`.
-    pub(super) fn delegate_renewal(
-        &self,
-        authority: &Authority,
-        member: u64,
-        lifetime: u64,
-        not_after: u64,
-    ) -> anyhow::Result<Signed<RenewalDelegation>> {
-        let key = SigningKey::load(&self.path("join.pem"))?.verify_key();
-        let (domain, serial, (not_before, _)) = (authority.identity.name(), member, validity(0));
-        let claims = RenewalDelegation { domain, member, key, lifetime, serial, not_before, not_after };
-        Ok(issue(authority.identity.key(), &claims)?)
-    }
+/// Signs that the join service with this key may renew the membership with this serial until
+/// `not_after`.
+pub fn delegate_renewal(
+    authority: &Authority,
+    key: VerifyKey,
+    member: u64,
+    lifetime: u64,
+    not_after: u64,
+) -> anyhow::Result<Signed<RenewalDelegation>> {
+    let (domain, serial, (not_before, _)) = (authority.identity.name(), member, validity(0));
+    let claims = RenewalDelegation { domain, member, key, lifetime, serial, not_before, not_after };
+    Ok(issue(authority.identity.key(), &claims)?)
+}
 
+impl Home {
     /// Issues the membership of an entity of this server.
     pub(super) fn admit(&self, entity: Name, own: Own, lifetime: u64) -> anyhow::Result<()> {
         let authority = self.authority()?;
@@ -58,7 +58,8 @@ impl Home {
             (authority.identity.name(), own.role.to_owned(), authority.serial, validity(RENEWABLE).1);
         let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
         let membership = Membership::issue(&authority.identity, &claims)?;
-        let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
+        let join_service = SigningKey::load(&self.path("join.pem"))?.verify_key();
+        let renewal = delegate_renewal(&authority, join_service, serial, lifetime, ends)?;
         let file = Some(self.member_file(own));
         let (to, label) = (To::Member { entity, role }, Some(own.label.to_owned()));
         authority.remember(Issue { serial, to, label, not_before, not_after, ends, file })?;
@@ -82,18 +83,19 @@ impl Home {
     pub(super) fn renew_all_own(&self) {
         for own in OWN {
             match self.renew_own(own) {
-                Ok(Some(_)) => tracing::info!("renewed the membership of the {}", own.label),
-                Ok(None) => {}
+                Ok(true) => tracing::info!("renewed the membership of the {}", own.label),
+                Ok(false) => {}
                 Err(error) => tracing::error!("the membership of the {} is not renewed: {error:#}", own.label),
             }
         }
     }
 
-    /// Renews the membership of an entity of this server if half of it has passed.
-    fn renew_own(&self, own: Own) -> anyhow::Result<Option<Membership>> {
+    /// Renews the membership of an entity of this server if half of it has passed. Returns whether
+    /// it did.
+    fn renew_own(&self, own: Own) -> anyhow::Result<bool> {
         let membership = self.membership(own)?;
         if !membership.is_half_over(unix_seconds())? {
-            return Ok(None);
+            return Ok(false);
         }
         let path = self.renewal_file(own);
         let delegation = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
@@ -101,7 +103,7 @@ impl Home {
         let key = SigningKey::load(&self.path("join.pem"))?;
         let renewed = membership.renew(&key, &delegation, unix_nanos())?;
         secret_file::replace(&self.member_file(own), renewed.to_pem().as_bytes())?;
-        Ok(Some(renewed))
+        Ok(true)
     }
 
     pub(super) fn membership(&self, own: Own) -> anyhow::Result<Membership> {

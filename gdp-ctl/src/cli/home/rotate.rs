@@ -14,7 +14,7 @@ use gdp_util::unix_time::unix_seconds;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::renewals::OWN;
+use super::renewals::{OWN, delegate_renewal};
 use super::{Home, HomeOptions, files, members};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
@@ -106,8 +106,8 @@ impl Home {
             let not_after = until.min(ends);
             let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
             let membership = Membership::issue(&authority.identity, &claims)?;
+            let renewal = delegate_renewal(&authority, enrollment.join_service, serial, lifetime, ends)?;
             let enrollment = issue(authority.identity.key(), &Enrollment { member: serial, serial, ..enrollment })?;
-            let renewal = self.delegate_renewal(&authority, serial, lifetime, ends)?;
             let to = To::Member { entity, role };
             let issued = Issue { serial, to, label: Some(label.clone()), not_before, not_after, ends, file: None };
             authority.ledger.issued.push(issued);
