@@ -3,15 +3,18 @@
 //! 127.0.0.1, so loopback multicast is not needed.
 
 use std::collections::HashSet;
+use std::pin::pin;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Duration;
 
 use bytes::Bytes;
 use gdp_proxy::config::Graphs;
-use gdp_proxy::graph::{self, Arrived, Event, Reader};
-use gdp_proxy::ros2::{Domain, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
+use gdp_proxy::graph::{self, ActionCaller, Arrived, Event, Graph, Peer, Reader};
+use gdp_proxy::ros2::{Action, Domain, Qos, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
+use gdp_ros::call;
 use gdp_ros::roster::Offer;
+use gdp_ros::types::Types;
 use gdp_tests::dds_domain::lease;
 
 const RELIABLE: Offer = Offer::DEFAULT;
@@ -96,6 +99,34 @@ async fn graphs() -> graph::All {
     let mut joined = graph::All::new();
     graph::join(&mut joined, &graphs, "gdp_proxy_test").await.unwrap();
     joined
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_action_is_called_once_its_feedback_would_arrive() {
+    let (there, here) = (join(), graphs().await);
+    let (name, kind) = (topic("action"), TypeName::parse("some_msgs/action/Unheard").unwrap());
+    let parts = Action::new(&name, &kind).unwrap();
+    let servers =
+        [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| there.server(name, kind, None));
+    let Graph::Ros2(domain) = &*here["a"] else { panic!("DDS") };
+    let mut graph = domain.graph();
+    let seen = within("the server", graph.wait_for(|graph| graph.actions.contains_key(&name))).await.unwrap().clone();
+    let peer = Peer::Ros2(seen.actions[&name].servers[0].clone());
+
+    let types = Types::load([]).unwrap();
+    let mut caller = pin!(ActionCaller::new(&here["a"], &types, &name, &peer));
+    let early = tokio::time::timeout(Duration::from_secs(1), &mut caller).await;
+    assert!(early.is_err(), "nothing publishes feedback yet");
+    let writer = |(topic, kind): &(_, _), qos: Qos| there.writer(topic, kind, &qos.into()).unwrap();
+    let _status = writer(&parts.status, Action::status_qos());
+    let mut feedback = writer(&parts.feedback, Action::feedback_qos());
+    let (caller, _) = within("the server is matched", caller).await.unwrap();
+    within("feedback arrives", async {
+        feedback.write(sample([0, 1, 0, 0], 64), 0).await.unwrap();
+        assert!(matches!(caller.next_event().await.unwrap(), call::Event::Feedback(_)));
+    })
+    .await;
+    drop(servers);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -77,7 +77,9 @@ impl ActionCaller {
                 let status = reader(&parts.status, ros2::Action::status_qos()).map_err(GraphError::from)?;
                 let services =
                     [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| (name, kind));
-                let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer).await?;
+                // Feedback that is published before its reader is matched is lost.
+                let [send_goal, cancel_goal, get_result] =
+                    Caller::several(domain, services, [&feedback, &status], peer).await?;
                 let (feedback, status) = (PartReader::Dds(feedback.into()), PartReader::Dds(status.into()));
                 let caller = Ros2Caller { send_goal, cancel_goal, get_result, feedback, status };
                 Ok((Self::Ros2(caller.into()), types.describe_action(peer.kind.to_string())))

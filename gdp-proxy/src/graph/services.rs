@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use futures::future::join_all;
+use futures::future::{join, join_all};
 use gdp_ros1::{CallError, ServiceServer, ServiceType};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
@@ -12,7 +12,7 @@ use tokio::time::timeout;
 use super::{Graph, ros1, zenoh};
 use crate::config::What;
 use crate::graph::event::GraphError;
-use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName, TypeName};
+use crate::ros2::{self, ClientLife, RawReader, RawSample, RequestId, ServicePeer, TopicName, TypeName};
 use gdp_ros::action::GoalId;
 use gdp_ros::call::{Description, Failure, FailureCode};
 use gdp_ros::roster::{Dialect, Kind};
@@ -147,7 +147,7 @@ impl Caller {
             }
             (Graph::Ros2(domain), Peer::Ros2(peer)) => {
                 let kind = Kind { dialect: Dialect::Ros2, name: peer.kind.to_string(), hash: vec![] };
-                let [caller] = Self::several(domain, [(name, &peer.kind)], peer).await?;
+                let [caller] = Self::several(domain, [(name, &peer.kind)], [], peer).await?;
                 Ok((caller, kind))
             }
             (Graph::Zenoh(graph), Peer::Ros2(peer)) => {
@@ -159,16 +159,19 @@ impl Caller {
         }
     }
 
-    /// Creates clients of several services of one ROS 2 server.
-    pub async fn several<const N: usize>(
+    /// Creates clients of several services of one ROS 2 server. It waits until they and these
+    /// readers of the server's topics are matched.
+    pub async fn several<const N: usize, const M: usize>(
         domain: &ros2::Domain,
         services: [(&TopicName, &TypeName); N],
+        topics: [&RawReader; M],
         peer: &ServicePeer,
     ) -> Result<[Self; N], CallerError> {
         let clients = services.map(|(name, kind)| domain.client(name, kind, peer.mapping));
         let clients = clients.into_iter().collect::<Result<Vec<_>, _>>().map_err(GraphError::from)?;
         let matched = join_all(clients.iter().map(|client| client.until_matched(peer.id)));
-        timeout(MATCHED, matched).await.map_err(|_| CallerError::Unmatched)?;
+        let topics = join_all(topics.map(|reader| reader.until_matched(peer.id)));
+        timeout(MATCHED, join(matched, topics)).await.map_err(|_| CallerError::Unmatched)?;
         let callers: Vec<_> = clients.into_iter().map(|client| Self::Ros2(client.into())).collect();
         callers.try_into().map_err(|_| GraphError::Left.into())
     }

@@ -118,8 +118,10 @@ impl RawReader {
         self.node.assign(node);
     }
 
-    /// Waits until a writer of this participant matches. Each match is reported once.
-    pub(super) async fn until_matched(&self, of: Participant) {
+    /// Waits until a writer of the participant of this endpoint matches. Each match is reported
+    /// once.
+    pub async fn until_matched(&self, endpoint: [u8; 16]) {
+        let of: Participant = std::array::from_fn(|i| endpoint[i]);
         let mut events = self.shared.reader.as_async_status_stream();
         while let Some(event) = events.next().await {
             if matches!(event, DataReaderStatus::SubscriptionMatched { writer, current, .. }

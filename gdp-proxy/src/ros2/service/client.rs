@@ -76,7 +76,7 @@ impl Client {
     pub async fn until_matched(&self, server: [u8; 16]) {
         let participant = std::array::from_fn(|i| server[i]);
         let asking = self.asking.lock().await;
-        tokio::join!(asking.requests.until_matched(participant), self.replies.until_matched(participant));
+        tokio::join!(asking.requests.until_matched(participant), self.replies.until_matched(server));
     }
 
     /// Sends a request and waits for the reply without a timeout. Dropping the future cancels the
