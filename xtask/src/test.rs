@@ -55,12 +55,36 @@ pub fn run(options: Options) -> Result<()> {
     let mut executables = shell::cargo();
     executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", workspace::FEATURES]);
     shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
-    let mut networks = tests(&options);
-    networks.args(["--workspace", "--test", NETWORKS]);
-    // Machines may have only two cores. So one network runs at a time, and a missed deadline is
-    // meaningful.
-    shell::say_and_run(networks.args(["--", "--test-threads", "1"]))
+    let networks = |threads: &str, choice: &[&str]| {
+        let mut command = tests(&options);
+        command.args(["--workspace", "--test", NETWORKS, "--", "--test-threads", threads]).args(choice);
+        shell::say_and_run(&mut command)
+    };
+    if options.filter.is_some() {
+        return networks("1", &[]);
+    }
+    let skip: Vec<_> = WHOLE_MACHINE.iter().flat_map(|module| ["--skip", module]).collect();
+    // Both run, so that one failure does not hide others.
+    let (in_pairs, alone) = (networks("2", &skip), networks("1", &WHOLE_MACHINE));
+    in_pairs.and(alone)
 }
+
+/// Modules of tests that load both cores or measure a path. They run one at a time, so that a
+/// missed deadline is meaningful. The other tests mostly wait, for a fifth of a core.
+const WHOLE_MACHINE: [&str; 12] = [
+    "dpdk::",
+    "ecn::",
+    "end_to_end::",
+    "fleet::",
+    "generated::",
+    "liveness::",
+    "losses::",
+    "reach_links::",
+    "replicas::",
+    "selfheal",
+    "soak::",
+    "wire::",
+];
 
 /// The test target that needs root. It runs only when named.
 const NETWORKS: &str = "networks";
