@@ -6,7 +6,7 @@ use crate::ros2::TypeName;
 use crate::route_material::RouteMaterial;
 use crate::route_status::{RouteError, RouteStatus};
 use crate::waiting::Waiting;
-use gdp::Node;
+use gdp::unstable::Node;
 use gdp_core::card::NameCard;
 use gdp_ros::types::Types;
 use std::sync::Arc;

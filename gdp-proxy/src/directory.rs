@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use gdp::{Node, NodeError, SubscribeOptions};
+use gdp::unstable::{Node, NodeError, SubscribeOptions};
 use gdp_core::cert::{CertError, Membership, Reading};
 use gdp_core::secret_file;
 use gdp_directory::DIRECTORY;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use gdp::{Client, LinkConfig, Node, NodeConfig, NodeError};
+use gdp::unstable::{Client, LinkConfig, Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::enrollment::split_kind;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use gdp::{LinkConfig, Node, NodeConfig};
+use gdp::unstable::{LinkConfig, Node, NodeConfig};
 use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;

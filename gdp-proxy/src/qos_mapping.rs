@@ -1,6 +1,6 @@
 //! Maps the options of a topic to those of its publisher and its subscription in the fabric.
 
-use gdp::{PublishOptions, SubscribeOptions, Wants};
+use gdp::unstable::{PublishOptions, SubscribeOptions, Wants};
 use gdp_ros::qos_mapping;
 use gdp_ros::roster::Offer;
 

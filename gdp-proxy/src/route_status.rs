@@ -5,7 +5,7 @@ use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-use gdp::{Ended, NodeError};
+use gdp::unstable::{Ended, NodeError};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_util::backoff::Backoff;
 use gdp_util::line_limit::LineLimit;

@@ -4,7 +4,7 @@ pub use crate::carries::{Carries, Way};
 use std::sync::Arc;
 use std::time::Instant;
 
-use gdp::Node;
+use gdp::unstable::Node;
 use gdp_ros::types::Types;
 
 use crate::config::Side;

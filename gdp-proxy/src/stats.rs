@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use gdp::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+use gdp::unstable::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::Serialize;
@@ -146,7 +146,7 @@ pub struct RouteStats {
     pub name: Name,
     #[serde(flatten)]
     pub counted: Counted,
-    /// `gdp::PublisherCounters` for `out`, `gdp::SubscriptionCounters` for `in`, with the drops by
+    /// `gdp::unstable::PublisherCounters` for `out`, `gdp::unstable::SubscriptionCounters` for `in`, with the drops by
     /// reason. Null before the route is up for the first time.
     pub fabric: FabricStats,
 }

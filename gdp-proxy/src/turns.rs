@@ -4,7 +4,7 @@
 use std::pin::Pin;
 use std::time::{Duration, Instant};
 
-use gdp::Node;
+use gdp::unstable::Node;
 use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use gdp::{LinkState, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{LinkState, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, ReadGrant, issue};
 use gdp_core::domain::{CredentialFiles, Credentials};

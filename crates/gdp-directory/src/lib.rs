@@ -1,7 +1,9 @@
 //! The directory of a trust domain: its members with their labels, catalogs and shared topics. The
 //! domain's join service publishes it sealed, and members follow it. [`service`] decides who
-//! enters it. This crate has no I/O and no clock.
+//! enters it. [`catalog`] lists what one member
+//! exposes. This crate has no I/O and no clock.
 
+pub mod catalog;
 pub mod directory;
 pub mod messages;
 pub mod service;

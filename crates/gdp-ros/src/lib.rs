@@ -5,7 +5,8 @@
 //! goals. [`actionlib`] has the protocol of ROS 1 for them. [`names`] validates ROS names, and
 //! [`pattern`] patterns of them. [`qos_mapping`] maps QoS to the fabric. [`types`], [`services`]
 //! and [`actions`] convert messages between types and encodings. [`compression`] compresses message
-//! bodies. This crate does no I/O and holds no ROS graph; `gdp-proxy` and `gdp-ctl topic` do both.
+//! bodies. [`fill`] and [`encoder`] make messages of values, and [`feed`] reads them from a topic.
+//! [`sdk`] is for programs: `session.ros()`. This crate holds no ROS graph; `gdp-proxy` does.
 #![deny(unsafe_code)]
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
@@ -14,11 +15,17 @@ pub mod action;
 pub mod actionlib;
 pub mod actions;
 pub mod call;
-pub mod catalog;
+pub use gdp_directory::catalog;
+
 pub mod compression;
+pub mod encoder;
+pub mod feed;
+pub mod fill;
 pub mod names;
 pub mod pattern;
 pub mod qos_mapping;
 pub mod roster;
+pub mod sdk;
 pub mod services;
 pub mod types;
+pub mod user_input;

@@ -1,7 +1,7 @@
 //! Maps the quality of service that ROS publishers offer to the history of the name's publisher in
 //! the fabric.
 
-use gdp::{Overflow, PublishOptions, Reliability};
+use gdp::unstable::{Overflow, PublishOptions, Reliability};
 
 use crate::roster::Offer;
 

@@ -5,7 +5,7 @@
 //! - [`descriptors`]: the limit on open file descriptors (feature `descriptors`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
-//! - [`folders`]: the folders of state, configuration and socket (feature `program`)
+//! - [`folders`]: the folders of state, configuration and socket (feature `folders`)
 //! - [`line_limit`]: a limit on log lines of one kind
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
@@ -25,7 +25,7 @@ pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]
 pub mod file_watch;
-#[cfg(feature = "program")]
+#[cfg(feature = "folders")]
 pub mod folders;
 pub mod line_limit;
 #[cfg(feature = "program")]

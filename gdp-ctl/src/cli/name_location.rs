@@ -5,7 +5,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use gdp::{Client as ServiceClient, NodeError, PublishOptions, Publisher, Reading, SubscribeOptions, Subscription};
+use gdp::Reading;
+use gdp::unstable::{Client as ServiceClient, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::name::NamePrefix;
 use gdp_proto::admin::Request;
@@ -18,8 +19,9 @@ use crate::cli::context::Context;
 use crate::cli::node::NodeOptions;
 use crate::client::Client;
 use crate::ros::fabric::Fabric;
-use crate::ros::keyring::{FindError, called};
-use crate::ros::members;
+use gdp::FindError;
+use gdp::unstable::called;
+use gdp::unstable::members;
 
 /// Maximum number of publishers or servers to which a reader or caller traces.
 const MAX_COUNTERPARTS: usize = 8;
@@ -92,7 +94,7 @@ impl<'a> Paths<'a> {
             Ok(Target::Name(name)) => (vec![name], None),
             Ok(Target::Card(card)) => register(&card, fabric, None).await?,
             Err(_) if what.starts_with('/') && fabric.keyring.has_directory() => {
-                let shared = members::find(fabric, what, "topic").await?;
+                let shared = members::find(&fabric.node, &fabric.keyring, what, "topic").await?;
                 register(&shared.card, fabric, Some(shared.grant)).await?
             }
             Err(error) => return Err(error),
@@ -172,7 +174,7 @@ fn find(what: &str, own: Name, fabric: &Fabric) -> anyhow::Result<Target> {
         match fabric.keyring.find(what, kind) {
             Ok(card) => return Ok(Target::Card(Box::new(card))),
             Err(error @ FindError::Ambiguous { .. }) => return Err(error.into()),
-            Err(error @ (FindError::Unknown { .. } | FindError::Other { .. })) => unknown.get_or_insert(error),
+            Err(error) => unknown.get_or_insert(error),
         };
     }
     match what.parse::<NamePrefix>().ok() {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use gdp::{LinkConfig, SubscribeOptions, Subscription};
+use gdp::unstable::{LinkConfig, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -18,8 +18,9 @@ use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
-use crate::ros::keyring::{FindError, Keyring, called};
-use crate::ros::{fabric::Fabric, fabric::local_switch, joined, members};
+use crate::ros::{fabric::Fabric, fabric::local_switch};
+use gdp::unstable::{called, members};
+use gdp::{FindError, Keyring};
 use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
 
@@ -65,20 +66,13 @@ impl NodeOptions {
 
     /// The user's keyring, or without one the folder of `gdp-proxy join`.
     fn folder(&self) -> anyhow::Result<PathBuf> {
-        let own = folders::keyring();
-        let has_key = own.as_ref().is_some_and(|folder| folder.join("id.pem").exists());
-        let joined = folders::configuration().filter(|folder| !has_key && Keyring::is_joined(folder));
-        let folder = self.keyring.clone().or(joined).or(own);
-        folder.context("no place for a keyring: say where it is with --keyring, or set HOME")
+        Ok(self.keyring.clone().map_or_else(Keyring::default_folder, Ok)?)
     }
 
     fn identity(&self) -> anyhow::Result<Identity> {
         let file = match &self.key {
             Some(file) => file.clone(),
-            None => {
-                let folder = self.folder()?;
-                folder.join(if Keyring::is_joined(&folder) { "proxy.pem" } else { "id.pem" })
-            }
+            None => Keyring::key_file(&self.folder()?),
         };
         entity::load(&file, self.kind).map_err(|error| match error.is_not_found() {
             true => anyhow!(
@@ -96,9 +90,9 @@ impl NodeOptions {
             return Ok(vec![switch.clone().into()]);
         }
         let folder = self.folder()?;
-        match Keyring::is_joined(&folder) {
-            true => joined::links(&folder),
-            false => Ok(vec![local_switch(&mut context.client()?)?.into()]),
+        match Keyring::links(&folder)? {
+            Some(links) => Ok(links),
+            None => Ok(vec![local_switch(&mut context.client()?)?.into()]),
         }
     }
 
@@ -129,7 +123,7 @@ impl NodeOptions {
         }
         self.attached(keyring, context, async |fabric| {
             let looking = format!("looking for {name} in the directory");
-            let shared = while_waiting(&looking, members::find(fabric, name, kind)).await?;
+            let shared = while_waiting(&looking, members::find(&fabric.node, &fabric.keyring, name, kind)).await?;
             fabric.keyring.add(&shared.card, shared.grant);
             what(fabric, &shared.card).await
         })

@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use anyhow::{Context as _, bail};
-use gdp::{LinkConfig, Node, NodeConfig};
+use gdp::unstable::{LinkConfig, Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -11,8 +11,8 @@ use gdp_core::name::NamePrefix;
 use gdp_proto::control::{NameRole, Record};
 use gdp_wire::Name;
 
-use super::keyring::Keyring;
 use crate::client::Client;
+use gdp::Keyring;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 

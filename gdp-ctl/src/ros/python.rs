@@ -5,26 +5,7 @@ use gdp_msg::{Base, Count, Scalar};
 
 use super::view::{View, ViewError};
 
-/// Returns `repr` of a float: the shortest text that parses to the same number.
-pub fn float(value: f64) -> String {
-    if value.is_nan() {
-        return "nan".into();
-    }
-    if value.is_infinite() {
-        return if value > 0.0 { "inf".into() } else { "-inf".into() };
-    }
-    let exponent = match format!("{value:e}").split_once('e') {
-        Some((_, exponent)) => exponent.parse::<i32>().unwrap_or_default(),
-        None => 0,
-    };
-    if value == 0.0 || (-4..16).contains(&exponent) {
-        return format!("{value:?}");
-    }
-    let text = format!("{value:e}");
-    let (digits, _) = text.split_once('e').unwrap_or((&text, ""));
-    let sign = if exponent < 0 { '-' } else { '+' };
-    format!("{digits}e{sign}{:02}", exponent.abs())
-}
+pub use gdp_ros::fill::float_text as float;
 
 /// Returns `repr` of a string.
 pub fn string(value: &str) -> String {

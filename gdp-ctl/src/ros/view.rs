@@ -1,7 +1,8 @@
 //! A message with its definition. JSON contains the values, and the definition states their order
 //! and types.
 
-use gdp_msg::{Base, Count, Definition, Dialect, Scalar, Schema, TypeName};
+use gdp_msg::{Base, Count, Dialect, Scalar, Schema};
+use gdp_ros::fill::definition;
 use serde_json::Value;
 
 use crate::ros::item::Item;
@@ -53,16 +54,6 @@ fn members<'a>(schema: &'a Schema, base: &'a Base) -> Option<Vec<(&'a str, &'a B
         Base::Duration => Some(vec![("secs", &SIGNED, Count::One), ("nsecs", &SIGNED, Count::One)]),
         _ => None,
     }
-}
-
-/// Returns the definition of a type in the schema.
-pub fn definition<'a>(schema: &'a Schema, name: &TypeName) -> Option<&'a Definition> {
-    schema.definitions().find(|definition| definition.name == *name)
-}
-
-/// Returns whether JSON represents arrays of this scalar as base64.
-pub fn is_octet(scalar: Scalar) -> bool {
-    matches!(scalar, Scalar::Byte | Scalar::Char | Scalar::UInt8)
 }
 
 impl<'a> View<'a> {

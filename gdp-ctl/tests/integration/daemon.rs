@@ -6,7 +6,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{Chain, TIMEOUT, config, wait};
-use gdp::{Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};

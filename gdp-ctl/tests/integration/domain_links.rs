@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::wait;
-use gdp::{Node, NodeConfig, NodeError};
+use gdp::unstable::{Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
 use gdp_core::domain::{Credentials, Token};

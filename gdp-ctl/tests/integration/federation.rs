@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::{TIMEOUT, wait};
-use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, PeerCert, ReadGrant, Revocation, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -301,7 +301,12 @@ impl Owner {
         issue(&self.0, &cert).unwrap().into()
     }
 
-    async fn publish(&self, node: &Node, card: &NameCard, entity: &Identity) -> Result<Publisher, gdp::NodeError> {
+    async fn publish(
+        &self,
+        node: &Node,
+        card: &NameCard,
+        entity: &Identity,
+    ) -> Result<Publisher, gdp::unstable::NodeError> {
         node.publish(card.proof(), self.ad_cert(card, entity), PublishOptions::reliable()).await
     }
 

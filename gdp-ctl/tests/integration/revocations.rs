@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use crate::owner::Owner;
 use crate::switch::{TIMEOUT, config, wait};
-use gdp::{Ended, Node, NodeConfig, NodeError, PublishOptions};
+use gdp::unstable::{Ended, Node, NodeConfig, NodeError, PublishOptions};
 use gdp_core::cert::{AdCert, CertError, Issued, Revocation, issue};
 use gdp_core::identity::Identity;
 use gdp_core::name::NamePrefix;

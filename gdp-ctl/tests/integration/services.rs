@@ -7,7 +7,7 @@ use std::time::SystemTime;
 use crate::owner::Owner;
 use crate::ports::free_addr;
 use crate::switch::{TIMEOUT, config, wait};
-use gdp::{Client, Node, NodeConfig, NodeError, Server};
+use gdp::unstable::{Client, Node, NodeConfig, NodeError, Server};
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::Identity;
 use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};

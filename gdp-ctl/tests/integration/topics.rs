@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, ChildStdout, Output, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions};
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::serve::{Running, start};

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::{Ended, Node, Overflow, PublishOptions, Publisher, Reliability, SubscribeOptions, Subscription};
+use gdp::unstable::{Ended, Node, Overflow, PublishOptions, Publisher, Reliability, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_core::domain::CredentialFiles;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::Call;
+use gdp::unstable::Call;
 use gdp_ros::action::{Goals, Log, cdr};
 use gdp_ros::call::{Description, Event, Events, Failure, FailureCode, Part};
 use gdp_ros::types::Types;

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 use futures::future::join_all;
-use gdp::{Client, MessageId};
+use gdp::MessageId;
+use gdp::unstable::Client;
 use gdp_ros::call::{CALL, Request};
 use gdp_wire::Name;
 use parking_lot::Mutex;

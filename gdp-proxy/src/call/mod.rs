@@ -22,7 +22,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::Node;
+use gdp::unstable::Node;
 use gdp_ros::types::Types;
 use parking_lot::Mutex;
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, StreamExt};
-use gdp::{Call, NodeError, Server};
+use gdp::unstable::{Call, NodeError, Server};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::roster::node_name;

@@ -22,7 +22,7 @@ use std::io::{self, Read};
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
-use gdp::LinkConfig;
+use gdp::unstable::LinkConfig;
 use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_core::file_kind::FileKind;

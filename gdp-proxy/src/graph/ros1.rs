@@ -20,7 +20,7 @@ use gdp_ros1::{
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-use self::publishers::{Publisher, Publishers};
+use self::publishers::{GraphPublisher, Publishers};
 use crate::config::Ros1Config;
 use crate::graph::event::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::peer_proxies::{self, PeerProxies, Voice};
@@ -203,7 +203,7 @@ pub fn is_proxy(caller_id: &str) -> bool {
 }
 
 /// A writer on behalf of a remote publisher.
-pub struct Ros1Writer(Arc<Publisher>);
+pub struct Ros1Writer(Arc<GraphPublisher>);
 
 impl Ros1Writer {
     pub async fn new(

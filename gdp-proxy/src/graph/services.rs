@@ -130,7 +130,7 @@ impl Servers {
 /// A client of the local servers of a service.
 pub enum Caller {
     Ros1 { client: gdp_ros1::ServiceClient, md5sum: String },
-    Ros2(Box<ros2::Client>),
+    Ros2(Box<ros2::DdsClient>),
     Zenoh(Box<zenoh::ZenohClient>),
 }
 

@@ -32,7 +32,9 @@ pub use raw::{ImmediateWriter, RawWriter, WriteError};
 pub use raw_reader::{Arrived, RawReader, SampleSink, Unreadable, WriterChange};
 pub use sample::{ENCAPSULATION, RawSample, Representation};
 
-pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, ReceivedRequest, RequestId, Server};
+pub use service::{
+    BadRequest, CallError, ClientLife, DdsClient, Headless, Mapping, ReceivedRequest, RequestId, Server,
+};
 
 use std::net::Ipv4Addr;
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 //!
 //! Everything else takes the way of the task, and the direct path then waits for the task. So no
 //! message overtakes an earlier one of its publisher. The readers ([`Reader::set_sink`],
-//! [`gdp::Subscription::set_sink`]) see to that.
+//! [`gdp::unstable::Subscription::set_sink`]) see to that.
 //!
 //! [`Reader::set_sink`]: crate::graph::Reader::set_sink
 
@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::ImmediateSender;
+use gdp::unstable::ImmediateSender;
 use gdp_e2e::seal::{Draft, Encoding, Message};
 use gdp_wire::Name;
 use parking_lot::Mutex;
@@ -90,7 +90,7 @@ pub struct DirectLocal {
 }
 
 impl Inward {
-    pub fn into_sink(self) -> gdp::MessageSink {
+    pub fn into_sink(self) -> gdp::unstable::MessageSink {
         Box::new(move |message| (!self.write(&message)).then_some(message))
     }
 

@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use futures::FutureExt;
-use gdp::{NodeError, Subscription};
+use gdp::unstable::{NodeError, Subscription};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;
 use gdp_wire::Name;

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 
-use gdp::{Node, NodeError, Publisher};
+use gdp::unstable::{Node, NodeError, Publisher};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::carries::{Carries, Way};

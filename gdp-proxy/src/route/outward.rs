@@ -6,7 +6,8 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::{ErrorCode, FrameError, NodeError, Publisher};
+use gdp::ErrorCode;
+use gdp::unstable::{FrameError, NodeError, Publisher};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_e2e::seal::Draft;
 use tokio::runtime::Handle;

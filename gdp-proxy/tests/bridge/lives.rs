@@ -5,7 +5,7 @@ use gdp_tests::dds_domain::lease;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::Subscription;
+use gdp::unstable::Subscription;
 use gdp_e2e::seal::Message;
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::{Dialect, Kind, Offer, Outgoing, ROSTER};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::{Node, NodeConfig, PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::Server;
+use gdp::unstable::Server;
 use gdp_core::crypto;
 use gdp_ros::call::{CALL, Description, Epoch, FailureCode, Reply, Request};
 use gdp_ros::roster::{Dialect, Kind};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::LinkState;
+use gdp::unstable::LinkState;
 
 use gdp_tests::book::reference::{self, page, table, wrapped};
 use gdp_wire::Counter;

@@ -91,6 +91,11 @@ impl Publisher {
     /// Returns the unfinished messages after `patience`. A best-effort publisher without a link
     /// fails at once.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
+        self.flush_shared(patience).await
+    }
+
+    /// [Flushes](Self::flush) a publisher that several tasks share.
+    pub async fn flush_shared(&self, patience: Duration) -> Result<(), NodeError> {
         let (publication, send_path) = (&self.publication, &self.node.state.send_path);
         let deadline = tokio::time::Instant::now() + patience;
         send_path.finish(publication);
@@ -152,6 +157,12 @@ impl Publisher {
     /// Sends several messages under one signature; small ones share frames. Returns the sequence
     /// number of the first.
     pub async fn send_batch(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
+        self.send_shared(messages).await
+    }
+
+    /// Sends messages as [`Self::send_batch`] does, from one of several tasks. Which task's message
+    /// is first is not determined.
+    pub async fn send_shared(&self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         let counters = self.node.state.counters.clone();
         let result = self.try_send(messages).await;
         let count = if result.is_ok() { &counters.messages_sent } else { &counters.messages_unsent };
@@ -183,7 +194,7 @@ impl Publisher {
         self.publication.sealer.forget(origin);
     }
 
-    async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
+    async fn try_send(&self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         send_through(&self.publication, &self.node.state.send_path, messages, |_| {}).await
     }
 }

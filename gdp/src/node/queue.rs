@@ -3,6 +3,7 @@
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::task::{Context, Poll, ready};
 
 use gdp_wire::Name;
 use tokio::sync::mpsc;
@@ -26,12 +27,17 @@ impl Queue {
 
     /// Returns the next message, or `None` at the end. Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
+        poll_fn(|context| self.poll_recv(context)).await
+    }
+
+    /// Polls for the next message.
+    pub fn poll_recv(&mut self, context: &mut Context<'_>) -> Poll<Option<Message>> {
         let Self { receiver, shared, .. } = self;
-        let message = poll_fn(|context| shared.direct.poll_next(receiver, context)).await?;
+        let Some(message) = ready!(shared.direct.poll_next(receiver, context)) else { return Poll::Ready(None) };
         self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
         if self.shared.stalled.load(Ordering::Relaxed) && self.receiver.len() <= self.receiver.max_capacity() / 2 {
             self.commands.send(Command::Resume { name: self.name });
         }
-        Some(message)
+        Poll::Ready(Some(message))
     }
 }

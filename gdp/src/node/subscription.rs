@@ -2,6 +2,7 @@
 
 use gdp_wire::Name;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 
 use super::counters::{Meter, SubscriptionCounters};
 use super::ending::{Ended, Ending};
@@ -33,6 +34,11 @@ impl Subscription {
     /// ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         self.queue.recv().await
+    }
+
+    /// Polls for the next message as [`Self::recv`] does.
+    pub fn poll_recv(&mut self, context: &mut Context<'_>) -> Poll<Option<Message>> {
+        self.queue.poll_recv(context)
     }
 
     /// Sets a function that takes messages on the receiving thread, before they are queued. It is

@@ -75,11 +75,11 @@ pub struct SubscriptionReceiver {
 #[derive(Default)]
 struct KnownWriter {
     greeting: Greeting,
-    session: Option<Session>,
+    session: Option<WriterSession>,
 }
 
 /// The session that a writer has confirmed last.
-struct Session {
+struct WriterSession {
     id: [u8; 16],
     inbound: Inbound<Message>,
     seen: InboundCounters,
@@ -91,7 +91,7 @@ struct Session {
     reliable: bool,
 }
 
-impl Session {
+impl WriterSession {
     /// Returns whether a message is new to this reader. Sets the time of a repeated message to that
     /// of its first transmission.
     fn is_new(&mut self, message: &mut Message) -> bool {
@@ -175,7 +175,7 @@ impl SubscriptionReceiver {
                     let options = self.options.inbound(reliable.then_some(*history));
                     let inbound = Inbound::new(self.name, *session, *sequence, rtt, options);
                     let (seen, from) = (InboundCounters::default(), *sequence);
-                    known.session = Some(Session { id: *session, inbound, seen, from, latched: 0, reliable });
+                    known.session = Some(WriterSession { id: *session, inbound, seen, from, latched: 0, reliable });
                     self.compare();
                 }
                 true
@@ -201,7 +201,7 @@ impl SubscriptionReceiver {
     ) -> Verdict {
         let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
         let steady = now.steady_ns;
-        if let Some(Session { id, inbound, reliable, .. }) = &mut writer.session {
+        if let Some(WriterSession { id, inbound, reliable, .. }) = &mut writer.session {
             // The writer retransmits what does not fit. Opening it would count it as delivered.
             let most = inbound.next_sequence().saturating_add(REACH);
             let is_beyond = |id: [u8; 16], sequence| {
@@ -225,7 +225,7 @@ impl SubscriptionReceiver {
             verdict = Verdict::Early(reason, times);
         }
         let received = &mut self.received;
-        let Some(Session { id, inbound, .. }) = &mut writer.session else {
+        let Some(WriterSession { id, inbound, .. }) = &mut writer.session else {
             received.clear();
             return verdict;
         };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use gdp::{Node, NodeConfig, PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};

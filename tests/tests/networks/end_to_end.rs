@@ -76,7 +76,7 @@ fn jumbo_frames_over_udp_cross_three_switches() -> Result<()> {
         .with_context(|| fabric.status(i).unwrap_or_default().to_string())?;
     }
     // Until then a proxy sends frames of 1200 B.
-    std::thread::sleep(gdp::SETTLING);
+    std::thread::sleep(gdp::unstable::SETTLING);
     // A message has 120 jumbo frames, or 760 of 1500 B, or 960 of 1200 B. Feedback comes as well.
     large_messages_have_frames(&fabric, 1000..2500)?;
     fabric.chain.robot().ip(&["link", "set", "r0", "mtu", "1500"])?;

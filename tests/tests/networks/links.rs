@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{LinkState, PublishOptions, SubscribeOptions};
+use gdp::unstable::{LinkState, PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_faults::Faults;
 use gdp_tests::Tools;

@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Result;
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::unstable::{PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Encoding;
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::{PublishOptions, Reliability, SubscribeOptions};
+use gdp::unstable::{PublishOptions, Reliability, SubscribeOptions};
 
 /// Returns best-effort options for tests in which every message must arrive because nothing is
 /// lost. The lifetime is long enough for a busy machine.

@@ -11,7 +11,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{LinkState, LinkStatus, PublishOptions, SubscribeOptions};
+use gdp::unstable::{LinkState, LinkStatus, PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};

@@ -10,7 +10,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{Node, NodeConfig, Publisher, Subscription};
+use gdp::unstable::{Node, NodeConfig, Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};

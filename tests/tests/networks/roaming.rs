@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{LinkState, PublishOptions, SubscribeOptions};
+use gdp::unstable::{LinkState, PublishOptions, SubscribeOptions};
 use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_tests::Tools;

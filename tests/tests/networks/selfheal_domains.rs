@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::unstable::{PublishOptions, SubscribeOptions};
 use gdp_tests::Tools;
 use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS};
 use gdp_tests::wait::wait_for;

@@ -288,6 +288,14 @@ pub const STEPS: &[SetupStep] = &[
         ..WHEELS
     },
     SetupStep {
+        part: SetupPart::Python,
+        what: "pytest",
+        why: "the package for Python is tested at a real switch",
+        wheels: &["pytest==9.2.0"],
+        environment: "venv-sdk",
+        ..WHEELS
+    },
+    SetupStep {
         part: SetupPart::Zenoh,
         what: "cmake, libclang and openssl",
         why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C, and wants certificates",

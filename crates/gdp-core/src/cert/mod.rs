@@ -11,6 +11,7 @@
 //! "gdp/batch/1…", TLS signs 64 spaces and a context).
 
 mod advert_op;
+mod allow;
 mod claims;
 pub mod domain;
 pub mod enrollment;
@@ -29,6 +30,7 @@ mod statements;
 mod switch;
 
 pub use advert_op::AdvertOp;
+pub use allow::{AllowPublish, AllowRead};
 pub use claims::{BACKDATED, CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
 pub use domain::{Invite, MemberCert, PeerCert, PeerRights};
 pub use enrollment::{Enrollment, TopicsOf};

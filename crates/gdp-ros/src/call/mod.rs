@@ -1,5 +1,5 @@
 //! The messages between proxies about a service or an action: requests and replies, sealed between
-//! one client and one server (`gdp::Client`, `Server`).
+//! one client and one server (`gdp::unstable::Client`, `Server`).
 //!
 //! A client's proxy first requests the description of the service. Its calls then use the types and
 //! the encoding of the server's ROS graph. The client's proxy converts if its own graph has the

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
-use gdp::Publisher;
+use gdp::unstable::Publisher;
 use gdp_core::cbor::CborError;
 use gdp_util::ticks::next_tick;
 

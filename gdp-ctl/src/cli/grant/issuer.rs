@@ -13,7 +13,7 @@ use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::next_serial;
 use super::ledger::Grant;
 use crate::cli::issuing::validity;
-use crate::ros::keyring::called;
+use gdp::unstable::called;
 
 /// The issuer, and the common properties of the certificates that it issues now.
 pub struct Issuer<'b> {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publisher, Reliability};
+use gdp::unstable::{Call, LinkConfig, Node, NodeConfig, Overflow, PublishOptions, Publisher, Reliability};
 use gdp_core::card::NameCard;
 use gdp_core::cbor;
 use gdp_core::cert::{AdCert, Issued, issue};

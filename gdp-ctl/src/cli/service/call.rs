@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::{Client, NodeError};
+use gdp::unstable::{Client, NodeError};
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
@@ -21,10 +21,10 @@ use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
-use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
+use gdp::unstable::called;
 use gdp_util::unix_time::{unix_seconds, unix_time};
 
 /// Timeout, number of attempts, and pause between attempts to get a server's description.
@@ -66,7 +66,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let ask = async |fabric: &Fabric, card: &NameCard| {
         let grant = fabric.keyring.grant(card, fabric.node.name(), unix_seconds())?;
         let client = fabric.node.client(card.proof(), grant).await?;
-        let server = Server::find(&client, card).await?;
+        let server = FoundServer::find(&client, card).await?;
         server.check(&wanted, card)?;
         let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
         let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
@@ -87,13 +87,13 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 }
 
 /// A server of the name, with its description of the service.
-struct Server {
+struct FoundServer {
     instance: Name,
     epoch: Epoch,
     description: Description,
 }
 
-impl Server {
+impl FoundServer {
     async fn find(client: &Client, card: &NameCard) -> anyhow::Result<Self> {
         let mut changes = client.changes();
         if client.servers() == 0 {

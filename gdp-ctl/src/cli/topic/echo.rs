@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::bail;
 use base64ct::{Base64, Encoding as _};
 use clap::Args;
-use gdp::SubscribeOptions;
+use gdp::unstable::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::compression::unpacked;
 use gdp_util::terminal::note;
@@ -19,9 +19,9 @@ use super::super::output::lines_of;
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::item::Item;
-use crate::ros::keyring::called;
 use crate::ros::yaml::document;
 use crate::ros::{feed::Decoder, feed::Feed, feed::ReceivedMessage, python, view::Limits, view::View};
+use gdp::unstable::called;
 
 #[derive(Debug, Args)]
 pub struct Options {

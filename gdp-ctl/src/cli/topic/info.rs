@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use gdp::SubscribeOptions;
+use gdp::unstable::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_wire::Name;
@@ -13,8 +13,8 @@ use serde::Serialize;
 use super::super::node::{NodeOptions, listen, unless_interrupted};
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
-use crate::ros::keyring::called;
 use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::RemotePublisher};
+use gdp::unstable::called;
 
 /// Time to wait for the writers' rosters.
 const TIMEOUT: Duration = Duration::from_secs(3);

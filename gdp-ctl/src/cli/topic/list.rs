@@ -12,8 +12,8 @@ use super::super::node::{NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::fabric::{Entities, Fabric};
-use crate::ros::keyring::called;
-use crate::ros::members;
+use gdp::unstable::called;
+use gdp::unstable::members;
 
 #[derive(Debug, Args)]
 pub struct ListOptions {
@@ -113,7 +113,8 @@ async fn gather(
 ) -> anyhow::Result<Vec<ListEntry>> {
     if fabric.keyring.has_directory() {
         let (shared, unanswered) =
-            while_waiting("asking the members of the domain", members::all(fabric, kind)).await?;
+            while_waiting("asking the members of the domain", members::all(&fabric.node, &fabric.keyring, kind))
+                .await?;
         cards.extend(shared.into_iter().map(|shared| (shared.alias, shared.card)));
         unanswered.iter().for_each(|why| note(format_args!("gdp-ctl: warning: {why}")));
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap::Args;
-use gdp::SubscribeOptions;
+use gdp::unstable::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_ros::compression::unpacked;
@@ -20,8 +20,8 @@ use super::super::output::lines_of;
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::feed::Decoder;
-use crate::ros::keyring::called;
 use crate::ros::{figures::Delays, figures::Intervals, figures::Sizes, figures::Spread, figures::seconds};
+use gdp::unstable::called;
 use gdp_util::unix_time::unix_time;
 
 const PERIOD: Duration = Duration::from_secs(1);

@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use clap::{Args, ValueEnum};
-use gdp::{PublishOptions, Publisher};
+use gdp::unstable::{PublishOptions, Publisher};
 use gdp_e2e::seal::Draft;
-use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
+use gdp_msg::{Base, Encoding, TypeName};
+use gdp_ros::encoder::{EncodeError, Encoder};
 use gdp_ros::qos_mapping;
 use gdp_ros::roster::{self, Dialect, Kind, Offer, Outgoing};
 use gdp_ros::types::{Types, sealed};
@@ -18,12 +19,11 @@ use serde::Serialize;
 use super::super::node::{Definitions, NodeOptions, parse_positive};
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
-use crate::ros::fill::fill;
-use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
-use gdp_util::unix_time::{unix_seconds, unix_time};
+use gdp::unstable::called;
+use gdp_util::unix_time::unix_seconds;
 
 /// Time that ROS readers behind a proxy need to discover the proxy's publisher, before the first of
 /// a few messages.
@@ -99,9 +99,9 @@ pub struct PublishOutput {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let keyring = options.node.keyring()?;
     let card = keyring.find(&options.what, "topic")?;
-    let mut maker = Maker::new(&options.definitions.load()?, &options.type_name, &options.values)?;
+    let maker = Maker::new(&options.definitions.load()?, &options.type_name, &options.values)?;
     if let Some(carded) = card.get("type").filter(|text| !text.is_empty())
-        && TypeName::parse(carded)? != TypeName::parse(&maker.kind.name)?
+        && TypeName::parse(carded)? != TypeName::parse(&maker.encoder.kind().name)?
     {
         bail!("{} is of {carded}, and not of {}", called(&card), options.type_name);
     }
@@ -115,7 +115,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let publisher = fabric.node.publish(card.proof(), ad, published).await?;
         let mut source = Source::new(publisher, &maker, offers);
         tokio::select! {
-            done = source.publish(options, context, &mut maker) => done?,
+            done = source.publish(options, context, &maker) => done?,
             interrupted = tokio::signal::ctrl_c() => interrupted.context("cannot wait for ^C")?,
         }
         source.end().await
@@ -138,11 +138,8 @@ fn offer(options: &Options) -> Offer {
 
 /// Creates messages from the user's input.
 struct Maker {
-    kind: Kind,
-    schema: std::sync::Arc<Schema>,
-    root: Base,
+    encoder: Encoder,
     input: UserInput,
-    mapping: Mapping,
 }
 
 /// A message: encoded, as JSON, and in Python notation.
@@ -154,26 +151,20 @@ struct Made {
 
 impl Maker {
     fn new(types: &Types, kind: &str, values: &str) -> anyhow::Result<Self> {
-        let name = TypeName::parse(kind)?;
-        let mut kind = Kind { dialect: Dialect::Ros2, name: name.to_string(), hash: vec![] };
-        let schema = types.schema(&kind, None).with_context(|| format!("{name} is not known; add --definitions"))?;
-        let hash = gdp_msg::hash::type_hash(&schema);
-        kind.hash = hex::decode(hash.trim_start_matches("RIHS01_")).unwrap_or_default();
-        let mapping = Mapping::within(&schema, Encoding::Json, Encoding::Cdr)?;
-        let (root, input) = (Base::Named(schema.name().clone()), UserInput::parse(values)?);
-        Ok(Self { kind, schema, root, input, mapping })
+        let encoder = Encoder::new(types, kind).map_err(|error| match error {
+            EncodeError::Unknown(name, source) => {
+                anyhow::Error::from(*source).context(format!("{name} is not known; add --definitions"))
+            }
+            error => error.into(),
+        })?;
+        Ok(Self { encoder, input: UserInput::parse(values)? })
     }
 
     /// Creates a message; `now` in the input becomes the current time.
-    fn make(&mut self) -> anyhow::Result<Made> {
-        let now = unix_time();
-        let json = fill(&self.schema, &self.input, (now.as_secs(), now.subsec_nanos()))?;
-        let mut body = Vec::new();
-        self.mapping.transcode(json.to_string().as_bytes(), &mut body, &Limits::default()).map_err(|error| {
-            // The position in the generated text would not help the user.
-            anyhow::anyhow!("`{}`: {}", error.path, error.fault)
-        })?;
-        let text = python::value(&View::of(&self.schema, &self.root, &json))?;
+    fn make(&self) -> anyhow::Result<Made> {
+        let (body, json) = self.encoder.encode(&self.input)?;
+        let schema = self.encoder.schema();
+        let text = python::value(&View::of(schema, &Base::Named(schema.name().clone()), &json))?;
         Ok(Made { body, json, text })
     }
 }
@@ -187,8 +178,8 @@ struct Source {
 
 impl Source {
     fn new(publisher: Publisher, maker: &Maker, offers: Offer) -> Self {
-        let text = Some(maker.schema.text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
-        let mut roster = Outgoing::new(maker.kind.clone(), text);
+        let text = Some(maker.encoder.schema().text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
+        let mut roster = Outgoing::new(maker.encoder.kind().clone(), text);
         roster.joined((), "", offers);
         let origin = roster::origin(roster.number(&()).unwrap_or_default());
         Self { publisher, roster, origin }
@@ -198,7 +189,7 @@ impl Source {
         Ok(self.roster.announce(Instant::now(), &self.publisher)?)
     }
 
-    async fn publish(&mut self, options: &Options, context: &Context, maker: &mut Maker) -> anyhow::Result<()> {
+    async fn publish(&mut self, options: &Options, context: &Context, maker: &Maker) -> anyhow::Result<()> {
         let times = if options.once { Some(1) } else { options.times };
         self.announce()?;
         self.wait(options.wait_matching_subscriptions.unwrap_or(times.is_some().into())).await?;

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use gdp::{Client, NodeError};
+use gdp::unstable::{Client, NodeError};
 use gdp_core::cert::Reading;
 use gdp_ros::action::{Board, Goals, cdr};
 use gdp_ros::call::{Event, Events, Part};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::Client;
+use gdp::unstable::Client;
 use gdp_ros::call::{Description, Epoch};
 use gdp_ros::roster::Dialect;
 use gdp_ros::services::service_name;

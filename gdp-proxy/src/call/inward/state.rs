@@ -5,7 +5,7 @@ use crate::call::asking::Known;
 use crate::call::inward::events::Remote;
 use crate::call::outbox::Outbox;
 use crate::call::stand::Stands;
-use gdp::Client;
+use gdp::unstable::Client;
 use gdp_ros::action::{Board, Goals};
 use gdp_ros::call::Description;
 use gdp_wire::Name;

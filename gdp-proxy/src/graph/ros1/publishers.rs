@@ -36,13 +36,13 @@ type Leaving = Arc<Mutex<JoinSet<()>>>;
 
 #[derive(Default)]
 struct PublishedTopic {
-    at_main: Weak<Publisher>,
+    at_main: Weak<GraphPublisher>,
     /// The publisher that all writers without latching share.
-    unlatched: Weak<Publisher>,
+    unlatched: Weak<GraphPublisher>,
 }
 
 /// A publisher of one topic at one node, shared by its writers.
-pub struct Publisher {
+pub struct GraphPublisher {
     kind: MessageType,
     latches: bool,
     /// True if its remote publisher has left, and it only delivers its last messages.
@@ -72,12 +72,12 @@ impl Publishers {
         topic: &str,
         kind: MessageType,
         options: PublishOptions,
-    ) -> Result<Arc<Publisher>, GraphError> {
+    ) -> Result<Arc<GraphPublisher>, GraphError> {
         if let Some(publisher) = self.share_or_publish_at(main, topic, &kind, options)? {
             return Ok(publisher);
         }
         let (publisher, node) = self.publish_further(topic, &kind, options).await?;
-        let publisher = Arc::new(Publisher::new(publisher, kind, options.latch, Some(node)));
+        let publisher = Arc::new(GraphPublisher::new(publisher, kind, options.latch, Some(node)));
         if !options.latch {
             self.topics().entry(topic.to_owned()).or_default().unlatched = Arc::downgrade(&publisher);
         }
@@ -116,7 +116,7 @@ impl Publishers {
         topic: &str,
         kind: &MessageType,
         options: PublishOptions,
-    ) -> Result<Option<Arc<Publisher>>, GraphError> {
+    ) -> Result<Option<Arc<GraphPublisher>>, GraphError> {
         let mut topics = self.topics();
         topics.retain(|_, topic| topic.at_main.strong_count() + topic.unlatched.strong_count() > 0);
         let known = topics.entry(topic.to_owned()).or_default();
@@ -130,7 +130,7 @@ impl Publishers {
             return Ok(Some(at_main).filter(|at_main| options.latch && at_main.is_of(kind) && at_main.take_over()));
         }
         let publisher = main.publish(topic, kind.clone(), options)?;
-        let publisher = Arc::new(Publisher::new(publisher, kind.clone(), options.latch, None));
+        let publisher = Arc::new(GraphPublisher::new(publisher, kind.clone(), options.latch, None));
         known.at_main = Arc::downgrade(&publisher);
         if !options.latch {
             known.unlatched = Arc::downgrade(&publisher);
@@ -149,7 +149,7 @@ impl Publishers {
     }
 }
 
-impl Publisher {
+impl GraphPublisher {
     fn new(
         publisher: gdp_ros1::Publisher,
         kind: MessageType,

@@ -17,7 +17,7 @@ use crate::ros2::sample::{RawSample, Representation};
 const MAX_CALLS: usize = 1024;
 
 /// A client of a service of local servers. Calls may run concurrently.
-pub struct Client {
+pub struct DdsClient {
     mapping: Mapping,
     replies: Arc<RawReader>,
     asking: tokio::sync::Mutex<Asking>,
@@ -61,7 +61,7 @@ pub enum CallError {
     Closed,
 }
 
-impl Client {
+impl DdsClient {
     pub(super) fn new(replies: RawReader, requests: RawWriter, mapping: Mapping) -> Self {
         let (calls, replies) = (Arc::new(Mutex::new(Calls::default())), Arc::new(replies));
         let own = [replies.guid(), requests.guid()];
@@ -119,7 +119,7 @@ impl Client {
     }
 }
 
-impl Drop for Client {
+impl Drop for DdsClient {
     fn drop(&mut self) {
         self.listening.abort();
     }

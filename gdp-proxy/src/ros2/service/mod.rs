@@ -9,7 +9,7 @@ mod client;
 mod mapping;
 mod server;
 
-pub use client::{CallError, Client};
+pub use client::{CallError, DdsClient};
 pub use mapping::{Headless, Mapping, RequestId};
 pub use server::{BadRequest, ClientLife, ReceivedRequest, Server};
 
@@ -27,10 +27,10 @@ impl Domain {
 
     /// Creates a client of a service, in the mapping of its servers ([`Mapping::of`]). Needs a
     /// tokio runtime.
-    pub fn client(&self, name: &TopicName, kind: &TypeName, mapping: Mapping) -> Result<Client, RosError> {
+    pub fn client(&self, name: &TopicName, kind: &TypeName, mapping: Mapping) -> Result<DdsClient, RosError> {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
         let reader = self.raw_reader(name, &replies, &response, &[], &Qos::default().into())?;
         let writer = self.raw_writer(name, &requests, &request, &[], &Qos::default().into())?;
-        Ok(Client::new(reader, writer, mapping))
+        Ok(DdsClient::new(reader, writer, mapping))
     }
 }

@@ -25,7 +25,7 @@ pub use scene::{Recording, Scene, drops};
 pub use switch::{Frame, Switch};
 
 use anyhow::Result;
-use gdp::{Node, NodeConfig, NodeCounters};
+use gdp::unstable::{Node, NodeConfig, NodeCounters};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Message;
 use gdp_tests::wait::{TIMEOUT, wait_for};

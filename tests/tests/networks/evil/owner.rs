@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
-use gdp::{Node, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Issued, ReadGrant, Reading, Revocation, Signed, issue};
 use gdp_core::identity::SigningKey;

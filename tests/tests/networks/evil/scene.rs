@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use gdp::{Node, NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{Node, NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::{Encoding, Message};
 use gdp_wire::Name;

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
-use gdp::{LinkStatus, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::unstable::{LinkStatus, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::domain::Credentials;

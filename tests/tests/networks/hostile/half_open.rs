@@ -14,7 +14,7 @@ use std::task::{Context as TaskContext, Poll};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{Node, NodeConfig};
+use gdp::unstable::{Node, NodeConfig};
 use gdp_core::identity::Identity;
 use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, Switch};

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::unstable::{PublishOptions, SubscribeOptions};
 use gdp_core::crypto::Backend;
 use gdp_e2e::feedback_wire::{Feedback, Missing};
 use gdp_e2e::keys::PairKey;

@@ -4,7 +4,7 @@
 use std::sync::{Arc, Mutex};
 
 use anyhow::Result;
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::unstable::{PublishOptions, SubscribeOptions};
 use gdp_core::cert::Signed;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;

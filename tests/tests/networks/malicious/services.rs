@@ -6,7 +6,7 @@
 use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result};
-use gdp::{Client, Node, Server};
+use gdp::unstable::{Client, Node, Server};
 use gdp_core::cert::{Signed, issue};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::unstable::{PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_e2e::keys::PAIR_VERSION;
 use gdp_e2e::seal::Encoding;

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Issued, Reading};
 use gdp_core::identity::{Identity, SigningKey};

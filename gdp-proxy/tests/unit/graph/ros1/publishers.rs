@@ -73,7 +73,7 @@ impl Site {
         Self { main: Node::start(config.clone()).await.unwrap(), publishers: Publishers::new(config) }
     }
 
-    async fn publish(&self, topic: &str, latch: bool) -> Arc<Publisher> {
+    async fn publish(&self, topic: &str, latch: bool) -> Arc<GraphPublisher> {
         self.publishers.publish(&self.main, topic, kind(), options(latch)).await.unwrap()
     }
 }

@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::Subscription;
+use crate::roster::{Change, Dialect, Incoming, Kind, Offer, RosterEvent};
+use crate::types::{TypeError, Types, unsealed};
+use gdp::unstable::{Ended, Subscription};
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options, Schema};
-use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, RosterEvent};
-use gdp_ros::types::{TypeError, Types, unsealed};
 use gdp_wire::Name;
 use serde_json::Value;
 
@@ -58,6 +58,11 @@ impl Feed {
             released: VecDeque::new(),
             said: Vec::new(),
         }
+    }
+
+    /// Waits until receiving ends, and returns the reason.
+    pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
+        self.subscription.ended()
     }
 
     /// Returns the publishers by writer and number.

@@ -1,4 +1,4 @@
-//! Unit tests of `ros::keyring`.
+//! Unit tests of `keyring`.
 
 use super::*;
 use gdp_core::cert::{Grantee, ReadGrant, issue};

@@ -6,81 +6,46 @@
 //! `*.peer` are certificates of that domain for other domains. Invalid files are reported and
 //! omitted.
 
+mod error;
+mod files;
+mod joined;
+pub mod members;
+
 use std::path::{Path, PathBuf};
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Issued, Reading};
 use gdp_core::domain::CredentialFiles;
 use gdp_core::name::NamePrefix;
+use gdp_util::folders;
 use gdp_wire::Name;
 
-use crate::cli::credential_file::CredentialFile;
+use self::files::RightFile;
+use crate::node::LinkConfig;
+
+pub use self::error::{FindError, KeyringError, MissingRight, RightError};
 
 /// Maximum number of folder entries that are read.
 const MAX_ENTRIES: usize = 10_000;
 
-#[derive(Debug, thiserror::Error)]
-pub enum KeyringError {
-    #[error(
-        "no keyring at {}: {source}; make the folder and put name cards, grants and your key id.pem there, or say \
-         where they are with --keyring", path.display()
-    )]
-    Folder { path: PathBuf, source: std::io::Error },
-    #[error("{} has more than {MAX_ENTRIES} entries; keep name cards and grants in a folder of their \
-             own", .0.display())]
-    TooMany(PathBuf),
-}
-
-/// Reasons why a search finds no single card.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FindError {
-    #[error("no name card of a {kind} {what} in {}; `gdp-ctl {kind} list` shows those there are", folder.display())]
-    Unknown { what: String, kind: String, folder: PathBuf },
-    #[error("{what} is the {kind} of several names: {}; give the name itself, or its first digits", listed(names))]
-    Ambiguous { what: String, kind: String, names: Vec<Name> },
-    #[error("{what} is a {got}, and no {kind}")]
-    Other { what: String, kind: String, got: String },
-}
-
-/// Reasons why there is no valid certificate.
-#[derive(Debug, thiserror::Error)]
-pub enum RightError {
-    #[error(transparent)]
-    Missing(Box<Missing>),
-    #[error("{}: {source}; have the owner of {of} issue another one", file.display())]
-    Refused { file: PathBuf, of: String, source: Box<CertError> },
-}
-
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} \
-     --entity {entity} -o FILE.{ending}`, \
-     and put the file there",
-    folder.display()
-)]
-pub struct Missing {
-    what: &'static str,
-    option: &'static str,
-    ending: &'static str,
-    of: String,
-    name: Name,
-    entity: Name,
-    folder: PathBuf,
-}
-
-fn listed(names: &[Name]) -> String {
-    names.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
-}
+/// The key of a member that joined a domain.
+const MEMBER_KEY: &str = "proxy.pem";
+/// The key in a keyring that a user made.
+const OWN_KEY: &str = "id.pem";
 
 /// The right to read the directory of a domain.
+#[derive(Debug)]
 pub struct DirectoryRight {
+    /// The card of the directory's name.
     pub card: NameCard,
+    /// The domain.
     pub domain: Name,
+    /// The right to read it.
     pub grant: Reading,
 }
 
 /// Contents of the folder.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Keyring {
     folder: PathBuf,
     /// In the order of their files.
@@ -94,12 +59,45 @@ pub struct Keyring {
 }
 
 impl Keyring {
+    /// Returns the folder of this user: the keyring that has a key, or else the folder of
+    /// `gdp-proxy join` or `gdp-ctl join`.
+    ///
+    /// # Errors
+    ///
+    /// Fails if neither XDG_CONFIG_HOME nor HOME is set.
+    pub fn default_folder() -> Result<PathBuf, KeyringError> {
+        let own = folders::keyring();
+        let has_key = own.as_ref().is_some_and(|folder| folder.join(OWN_KEY).exists());
+        let joined = folders::configuration().filter(|folder| !has_key && Self::is_joined(folder));
+        joined.or(own).ok_or(KeyringError::NoPlace)
+    }
+
+    /// Returns the file of the entity's private key in a folder.
+    pub fn key_file(folder: &Path) -> PathBuf {
+        folder.join(if Self::is_joined(folder) { MEMBER_KEY } else { OWN_KEY })
+    }
+
+    /// Returns the links by which a member attaches to its domain, in order of preference. Returns
+    /// `None` if no member's folder is at this path.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the member's `proxy.yaml` names no link.
+    pub fn links(folder: &Path) -> Result<Option<Vec<LinkConfig>>, KeyringError> {
+        Self::is_joined(folder).then(|| joined::links(folder)).transpose()
+    }
+
+    /// Reads a folder. Invalid files are omitted: see [`Self::left_out`].
+    ///
+    /// # Errors
+    ///
+    /// Fails if the folder cannot be listed.
     pub fn open(folder: &Path) -> Result<Self, KeyringError> {
         let io = |source| KeyringError::Folder { path: folder.into(), source };
         let mut files = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(io)? {
             if files.len() >= MAX_ENTRIES {
-                return Err(KeyringError::TooMany(folder.into()));
+                return Err(KeyringError::TooMany { path: folder.into(), most: MAX_ENTRIES });
             }
             files.push(entry.map_err(io)?.path());
         }
@@ -154,16 +152,15 @@ impl Keyring {
 
     fn right(&mut self, file: &Path) -> Result<(), String> {
         let name = |claimed: Result<Name, CertError>| claimed.map_err(|error| error.to_string());
-        match CredentialFile::load(file).map_err(|error| format!("{error:#}"))? {
-            CredentialFile::Ad(ad) => {
+        match files::read(file)? {
+            RightFile::Publish(ad) => {
                 let of = name(ad.cert.claims_unverified().map(|claims| claims.name))?;
                 self.ads.push((file.into(), of, ad));
             }
-            CredentialFile::Read(reading) => {
+            RightFile::Read(reading) => {
                 let of = name(reading.grant.cert.claims_unverified().map(|claims| claims.name))?;
                 self.grants.push((file.into(), of, reading));
             }
-            _ => return Err("no certificate to publish or to read; `gdp-ctl cert show` tells what it is".into()),
         }
         Ok(())
     }
@@ -198,7 +195,7 @@ impl Keyring {
 
     /// Returns whether the folder is that of a member that joined the domain, and has no other key.
     pub fn is_joined(folder: &Path) -> bool {
-        !folder.join("id.pem").exists() && folder.join("proxy.pem").is_file() && folder.join("membership").is_file()
+        !folder.join(OWN_KEY).exists() && folder.join(MEMBER_KEY).is_file() && folder.join("membership").is_file()
     }
 
     /// Returns the cards of this kind: `topic`, `service` or `action`.
@@ -262,7 +259,7 @@ impl Keyring {
         entity: Name,
     ) -> RightError {
         let of = called(card).to_owned();
-        let missing = Missing { what, option, ending, of, name: card.name(), entity, folder: self.folder.clone() };
+        let missing = MissingRight { what, option, ending, of, name: card.name(), entity, folder: self.folder.clone() };
         RightError::Missing(missing.into())
     }
 }
@@ -297,5 +294,5 @@ fn newest<'a, T>(
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/ros/keyring.rs"]
+#[path = "../../tests/unit/keyring/mod.rs"]
 mod tests;

@@ -1,4 +1,4 @@
-//! Unit tests of `ros::user_input`.
+//! Unit tests of `user_input`.
 
 use super::*;
 

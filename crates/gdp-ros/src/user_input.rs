@@ -116,5 +116,5 @@ impl<'de> Visitor<'de> for UserInputVisitor {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/ros/user_input.rs"]
+#[path = "../tests/unit/user_input.rs"]
 mod tests;

@@ -1,4 +1,4 @@
-//! Unit tests of `ros::members`.
+//! Unit tests of `keyring::members`.
 
 use super::*;
 

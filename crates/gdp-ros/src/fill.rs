@@ -2,11 +2,10 @@
 //! else zero or empty values, as in ROS 2. The result is JSON, which `gdp-msg` then checks against
 //! the definition and encodes.
 
-use gdp_msg::{Base, Count, Dialect, Field, Scalar, Schema, TypeName};
+use gdp_msg::{Base, Count, Definition, Dialect, Field, Scalar, Schema, TypeName};
 use serde_json::{Map, Value};
 
-use super::user_input::UserInput;
-use super::view::{definition, is_octet};
+use crate::user_input::UserInput;
 
 /// Maximum number of zero elements added to fixed arrays of one message.
 const MAX_FILLED: usize = 1 << 20;
@@ -28,6 +27,16 @@ pub enum FillError {
 /// for headers given as `auto`.
 pub fn fill(schema: &Schema, input: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
     Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), input)
+}
+
+/// Returns the definition of a type in the schema.
+pub fn definition<'a>(schema: &'a Schema, name: &TypeName) -> Option<&'a Definition> {
+    schema.definitions().find(|definition| definition.name == *name)
+}
+
+/// Returns whether JSON represents arrays of this scalar as base64.
+pub fn is_octet(scalar: Scalar) -> bool {
+    matches!(scalar, Scalar::Byte | Scalar::Char | Scalar::UInt8)
 }
 
 struct Fill<'a> {
@@ -110,7 +119,7 @@ impl Fill<'_> {
                 UserInput::Text(text) => Ok(text.clone().into()),
                 // `data: 5` is also valid for a text, as in ROS 2.
                 UserInput::Integer(value) => Ok(value.to_string().into()),
-                UserInput::Float(value) => Ok(super::python::float(*value).into()),
+                UserInput::Float(value) => Ok(float_text(*value).into()),
                 other => Err(unlike(path, "a text, in quotes".into(), other)),
             },
             Base::Scalar(scalar) => self.scalar(path, *scalar, input),
@@ -184,4 +193,25 @@ fn inside(path: &str, field: &str) -> String {
 fn unlike(path: &str, expected: String, got: &UserInput) -> FillError {
     let path = if path.is_empty() { "the message" } else { path };
     FillError::Other { path: path.into(), expected, got: got.what() }
+}
+
+/// Returns a float as Python prints it: the shortest text that parses to the same number.
+pub fn float_text(value: f64) -> String {
+    if value.is_nan() {
+        return "nan".into();
+    }
+    if value.is_infinite() {
+        return if value > 0.0 { "inf".into() } else { "-inf".into() };
+    }
+    let exponent = match format!("{value:e}").split_once('e') {
+        Some((_, exponent)) => exponent.parse::<i32>().unwrap_or_default(),
+        None => 0,
+    };
+    if value == 0.0 || (-4..16).contains(&exponent) {
+        return format!("{value:?}");
+    }
+    let text = format!("{value:e}");
+    let (digits, _) = text.split_once('e').unwrap_or((&text, ""));
+    let sign = if exponent < 0 { '-' } else { '+' };
+    format!("{digits}e{sign}{:02}", exponent.abs())
 }

@@ -1,0 +1,207 @@
+"""Sessions with asyncio, over the extension module."""
+
+import json
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from . import _gdp
+
+
+class _Attaching:
+    """A handle that attaches when it is awaited, entered with `async with`, or iterated."""
+
+    def __init__(self, attach):
+        self._attach = attach
+        self._native = None
+
+    def __await__(self):
+        return self._attached().__await__()
+
+    async def _attached(self):
+        if self._native is None:
+            self._native = await self._attach()
+        return self
+
+    async def __aenter__(self):
+        return await self._attached()
+
+    async def __aexit__(self, *_):
+        # The extension withdraws the name when its object ends.
+        self._native = None
+
+
+class _Receiving(_Attaching):
+    """A handle that receives, until the session is closed."""
+
+    async def recv(self):
+        """Return the next one, or None after the session is closed."""
+        await self._attached()
+        return await self._native.recv()
+
+    def __aiter__(self):
+        return self
+
+    async def __anext__(self):
+        received = await self.recv()
+        if received is None:
+            raise StopAsyncIteration
+        return received
+
+
+class _Publishing(_Attaching):
+    """A handle that publishes."""
+
+    async def flush(self, timeout=5.0):
+        """Wait until every reader of a reliable publisher has acknowledged all messages."""
+        await self._attached()
+        await self._native.flush(timeout)
+
+    async def wait_for_readers(self, readers=1):
+        """Wait until so many readers are attached."""
+        await self._attached()
+        await self._native.wait_for_readers(readers)
+
+    @property
+    def readers(self):
+        """The number of attached readers."""
+        return 0 if self._native is None else self._native.readers
+
+
+class Publisher(_Publishing):
+    """Publishes bytes. Several tasks may use it."""
+
+    async def put(self, payload):
+        """Send bytes, or a text as UTF-8, and return the sequence number."""
+        await self._attached()
+        return await self._native.put(payload)
+
+
+class RosPublisher(_Publishing):
+    """Publishes ROS messages from dictionaries."""
+
+    async def put(self, message):
+        """Send a message and return its sequence number.
+
+        `message` is a dictionary with fields, or a text in YAML. Omitted fields have their defaults.
+        """
+        await self._attached()
+        text = message if isinstance(message, str) else json.dumps(message)
+        return await self._native.put_text(text)
+
+
+class Subscriber(_Receiving):
+    """Reads bytes: `async for sample in subscriber`."""
+
+
+class Server(_Receiving):
+    """Receives calls: `async for call in server: await call.reply(b"done")`."""
+
+
+class RosSubscriber(_Receiving):
+    """Reads ROS messages of any type: `async for message in subscriber`."""
+
+    async def recv(self):
+        """Return the next message, or None after the session is closed."""
+        received = await super().recv()
+        if received is None:
+            return None
+        type_name, text, source, time = received
+        return RosMessage(type_name, json.loads(text), source, time)
+
+
+@dataclass(frozen=True)
+class RosMessage:
+    """A ROS message: its fields are in `value`, and `message["data"]` is `message.value["data"]`.
+
+    Arrays of bytes are base64, and integers beyond 2**53 are text.
+    """
+
+    type_name: str
+    value: Any
+    source: str
+    time: float
+
+    def __getitem__(self, field):
+        return self.value[field]
+
+
+class Client(_Attaching):
+    """Calls a service. Several tasks may use it."""
+
+    async def call(self, request):
+        """Send bytes or a text to the nearest server, and return its reply."""
+        await self._attached()
+        return await self._native.call(request)
+
+    @property
+    def servers(self):
+        """The number of attached servers."""
+        return 0 if self._native is None else self._native.servers
+
+
+class Session(_Attaching):
+    """An entity that is attached to a switch: `async with gdp.open() as session`."""
+
+    async def __aexit__(self, *_):
+        await self.close()
+
+    async def close(self):
+        """Wait for the readers of reliable publishers, for at most 5 s, and detach."""
+        native, self._native = self._native, None
+        if native is not None:
+            await native.close()
+
+    @property
+    def name(self):
+        """The entity's name, for which owners issue certificates."""
+        return self._open.name
+
+    @property
+    def _open(self):
+        if self._native is None:
+            raise _gdp.GdpError("the session is not open; use `async with gdp.open() as session`")
+        return self._native
+
+    def publisher(self, topic, *, reliable=False, latched=0, encoding="bytes"):
+        """Publish a topic: a ROS name, a card's file, or a name of 64 hex digits or its first ones."""
+        return Publisher(lambda: self._open.publisher(topic, reliable, latched, encoding))
+
+    def subscribe(self, topic, *, newest=False):
+        """Read a topic: named as for `publisher`, or /LABEL/TOPIC of another member."""
+        return Subscriber(lambda: self._open.subscriber(topic, newest))
+
+    def client(self, service, *, timeout=10.0):
+        """Call a service, named as for `subscribe`."""
+        return Client(lambda: self._open.client(service, timeout))
+
+    def server(self, service):
+        """Serve calls, as one of the servers of a service, named as for `publisher`."""
+        return Server(lambda: self._open.server(service))
+
+    def ros_publisher(
+        self, topic, type_name, *, reliable=True, transient_local=False, depth=10, definitions=()
+    ):
+        """Publish ROS messages of a type such as std_msgs/msg/String."""
+        folders = list(definitions)
+        return RosPublisher(
+            lambda: self._open.ros_publisher(
+                topic, type_name, reliable, transient_local, depth, folders
+            )
+        )
+
+    def ros_subscribe(self, topic, *, definitions=()):
+        """Read ROS messages of any type."""
+        return RosSubscriber(lambda: self._open.ros_subscriber(topic, list(definitions)))
+
+
+def open(keyring=None, switch=None, *, key=None, timeout=10.0):
+    """Attach to a switch.
+
+    keyring: folder with key, cards and certificates. Default: GDP_KEYRING, or ~/.config/gdp, or
+    where this machine joined a domain. switch: such as udp://203.0.113.7:31415. Default: GDP_SWITCH,
+    or where this machine joined, or this machine's own switch.
+    """
+    keyring = keyring or os.environ.get("GDP_KEYRING")
+    switch = switch or os.environ.get("GDP_SWITCH")
+    return Session(lambda: _gdp.open(keyring, switch, key, timeout))

@@ -1,0 +1,83 @@
+"""Reads and publishes ROS topics of any type, without ROS.
+
+    python -m gdp.topic echo /chatter
+    python -m gdp.topic pub /chatter std_msgs/msg/String '{data: hi}'
+"""
+
+import argparse
+import json
+import sys
+import time
+
+from . import GdpError, blocking
+
+
+def arguments(argv=None):
+    parser = argparse.ArgumentParser(prog="python -m gdp.topic", description="ROS topics of any type, without ROS")
+    parser.add_argument("--keyring", help="folder with key, cards and certificates; default: GDP_KEYRING")
+    parser.add_argument("--switch", help="switch to attach to, udp://HOST[:PORT]; default: GDP_SWITCH")
+    parser.add_argument("--definitions", action="append", default=[], metavar="FOLDER",
+                        help="share folder of ROS 2, for types beyond the common ones; repeat for several")
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    echo = verbs.add_parser("echo", help="print the messages of a topic")
+    echo.add_argument("topic")
+    echo.add_argument("--once", action="store_true", help="end after the first message")
+    echo.add_argument("--json", action="store_true", help="print one line of JSON a message")
+    pub = verbs.add_parser("pub", help="publish messages of a type")
+    pub.add_argument("topic")
+    pub.add_argument("type", help="type of the topic, such as std_msgs/msg/String")
+    pub.add_argument("values", nargs="?", default="{}", help="fields, in YAML or JSON")
+    pub.add_argument("--rate", type=float, default=1.0, help="messages a second")
+    pub.add_argument("--times", type=int, help="number of messages; default: no limit")
+    pub.add_argument("--readers", type=int, default=0, help="number of readers to wait for")
+    return parser.parse_args(argv)
+
+
+def lines(value, indent=""):
+    """Return the lines of a value in YAML. Texts and numbers are those of JSON, which YAML includes."""
+    for name, field in value.items():
+        if isinstance(field, dict) and field:
+            yield f"{indent}{name}:"
+            yield from lines(field, indent + "  ")
+        else:
+            yield f"{indent}{name}: {json.dumps(field, ensure_ascii=False)}"
+
+
+def echo(session, options):
+    for message in session.ros_subscribe(options.topic, definitions=options.definitions):
+        if options.json:
+            print(json.dumps(message.value), flush=True)
+        else:
+            print("\n".join([*lines(message.value), "---"]), flush=True)
+        if options.once:
+            return
+
+
+def pub(session, options):
+    publisher = session.ros_publisher(options.topic, options.type, definitions=options.definitions)
+    publisher.wait_for_readers(options.readers)
+    count = 0
+    while options.times is None or count < options.times:
+        if count:
+            time.sleep(1 / options.rate)
+        count += 1
+        publisher.put(options.values)
+        print(f"publishing #{count}: {options.values}", flush=True)
+    publisher.flush()
+
+
+def main(argv=None):
+    options = arguments(argv)
+    try:
+        with blocking.open(options.keyring, options.switch) as session:
+            {"echo": echo, "pub": pub}[options.verb](session, options)
+    except GdpError as error:
+        print(f"gdp.topic: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,154 @@
+//! Sessions.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use gdp::{Config, Encoding, Keyring, Session};
+use gdp_ros::sdk::RosSession as _;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3_async_runtimes::tokio::future_into_py;
+use tokio::sync::Mutex;
+
+use crate::calls::{NativeClient, NativeServer};
+use crate::errors::{raised, ros_raised};
+use crate::ros::{NativeRosPublisher, NativeRosSubscriber};
+use crate::topics::{NativePublisher, NativeSubscriber};
+
+/// Attaches to a switch. The package looks at the environment.
+#[pyfunction]
+#[pyo3(signature = (keyring=None, switch=None, key=None, timeout=10.0))]
+pub fn open(
+    py: Python<'_>,
+    keyring: Option<PathBuf>,
+    switch: Option<String>,
+    key: Option<PathBuf>,
+    timeout: f64,
+) -> PyResult<Bound<'_, PyAny>> {
+    let timeout = seconds(timeout)?;
+    future_into_py(py, async move {
+        let keyring = keyring.map_or_else(Keyring::default_folder, Ok).map_err(|error| raised(error.into()))?;
+        let mut config = Config::new(keyring);
+        if let Some(switch) = switch {
+            config = config.switch(switch.parse().map_err(|error| raised(gdp::Error::Switch(error)))?);
+        }
+        if let Some(key) = key {
+            config = config.key(key);
+        }
+        let session = gdp::open(config.timeout(timeout)).await.map_err(raised)?;
+        Ok(NativeSession(session))
+    })
+}
+
+/// An entity that is attached to a switch.
+#[pyclass(frozen, name = "Session", module = "gdp._gdp")]
+pub struct NativeSession(Session);
+
+#[pymethods]
+impl NativeSession {
+    #[getter]
+    fn name(&self) -> String {
+        self.0.name().to_string()
+    }
+
+    #[pyo3(signature = (topic, reliable, latched, encoding))]
+    fn publisher<'py>(
+        &self,
+        py: Python<'py>,
+        topic: String,
+        reliable: bool,
+        latched: usize,
+        encoding: &str,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let builder = self.0.publisher(topic).latched(latched).encoding(parse_encoding(encoding)?);
+        let builder = if reliable { builder.reliable() } else { builder };
+        future_into_py(py, async move { Ok(NativePublisher(builder.await.map_err(raised)?)) })
+    }
+
+    fn subscriber<'py>(&self, py: Python<'py>, topic: String, newest: bool) -> PyResult<Bound<'py, PyAny>> {
+        let builder = self.0.subscriber(topic);
+        let builder = if newest { builder.newest() } else { builder };
+        future_into_py(py, async move { Ok(NativeSubscriber::new(builder.await.map_err(raised)?)) })
+    }
+
+    fn client<'py>(&self, py: Python<'py>, service: String, timeout: f64) -> PyResult<Bound<'py, PyAny>> {
+        let builder = self.0.client(service).timeout(seconds(timeout)?);
+        future_into_py(py, async move { Ok(NativeClient(builder.await.map_err(raised)?)) })
+    }
+
+    fn server<'py>(&self, py: Python<'py>, service: String) -> PyResult<Bound<'py, PyAny>> {
+        let builder = self.0.server(service);
+        future_into_py(py, async move { Ok(NativeServer::new(builder.await.map_err(raised)?)) })
+    }
+
+    #[pyo3(signature = (topic, type_name, reliable, transient_local, depth, definitions))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn ros_publisher<'py>(
+        &self,
+        py: Python<'py>,
+        topic: String,
+        type_name: String,
+        reliable: bool,
+        transient_local: bool,
+        depth: u32,
+        definitions: Vec<PathBuf>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let ros = definitions.into_iter().fold(self.0.ros(), |ros, folder| ros.definitions(folder));
+        let builder = ros.dynamic_publisher(topic, type_name).depth(depth);
+        let builder = if reliable { builder } else { builder.best_effort() };
+        let builder = if transient_local { builder.transient_local() } else { builder };
+        future_into_py(py, async move { Ok(NativeRosPublisher(builder.await.map_err(ros_raised)?)) })
+    }
+
+    fn ros_subscriber<'py>(
+        &self,
+        py: Python<'py>,
+        topic: String,
+        definitions: Vec<PathBuf>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let ros = definitions.into_iter().fold(self.0.ros(), |ros, folder| ros.definitions(folder));
+        future_into_py(py, async move {
+            let subscriber = ros.dynamic_subscriber(topic).await.map_err(ros_raised)?;
+            Ok(NativeRosSubscriber(Mutex::new(subscriber).into()))
+        })
+    }
+
+    fn close<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let session = self.0.clone();
+        future_into_py(py, async move { session.close().await.map_err(raised) })
+    }
+
+    fn __repr__(&self) -> String {
+        format!("{:?}", self.0)
+    }
+}
+
+/// Returns a span of time. Python has seconds in floating point.
+pub fn seconds(seconds: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(seconds).map_err(|error| PyValueError::new_err(format!("{seconds} s: {error}")))
+}
+
+/// Parses the name of an encoding.
+fn parse_encoding(text: &str) -> PyResult<Encoding> {
+    match text {
+        "bytes" => Ok(Encoding::Bytes),
+        "json" => Ok(Encoding::Json),
+        "cdr" => Ok(Encoding::Cdr),
+        "ros1" => Ok(Encoding::Ros1),
+        other => other
+            .parse()
+            .map(Encoding::Other)
+            .map_err(|_| PyValueError::new_err(format!("{other:?} is not bytes, json, cdr, ros1 or a number"))),
+    }
+}
+
+/// Returns the name of an encoding.
+pub fn encoding_name(encoding: Encoding) -> String {
+    match encoding {
+        Encoding::Bytes => "bytes".into(),
+        Encoding::Json => "json".into(),
+        Encoding::Cdr => "cdr".into(),
+        Encoding::Ros1 => "ros1".into(),
+        Encoding::Other(number) => number.to_string(),
+    }
+}
