@@ -21,4 +21,5 @@ pub use access::{Access, AccessToken};
 pub use address::parse_address;
 pub use error::HttpError;
 pub use exchange::{HttpRequest, HttpResponse};
+pub use hyper::StatusCode;
 pub use server::{Listener, serve};
