@@ -47,6 +47,8 @@ pub use admin::{BackupOutput, LogOutput};
 pub use applications::{ApproveOptions, DecisionOutput, DenyOptions, approve, deny};
 pub use fleet::ApplyOutput;
 pub use invite::InviteOutput;
+#[cfg(test)]
+pub use robots::MemberOutput;
 pub use robots::{RobotsOutput, robots_of};
 pub use rotate::RotationOutput;
 pub use {admin::Command as AdminCommand, admin::run as admin};

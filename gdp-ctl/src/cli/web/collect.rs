@@ -86,7 +86,8 @@ impl Collector {
             found.push(Problem { severity: Severity::Down, what: text(&error.to_string()) });
         }
         match &*lock(&self.members.known) {
-            None | Some((_, Ok(None))) => {}
+            None => snapshot.robots_error = Some("Reading the domain's files…".into()),
+            Some((_, Ok(None))) => {}
             Some((_, Ok(Some(robots)))) => {
                 snapshot.robots = Some(view::robots(robots, &labels));
                 found.extend(problems::of_members(robots));

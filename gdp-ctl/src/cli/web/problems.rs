@@ -120,4 +120,4 @@ pub fn of_members(robots: &RobotsOutput) -> impl Iterator<Item = Problem> {
 
 #[cfg(test)]
 #[path = "../../../tests/unit/cli/web/problems.rs"]
-mod tests;
+pub(super) mod tests;

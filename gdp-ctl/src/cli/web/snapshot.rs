@@ -156,9 +156,10 @@ pub struct LinkLine {
 pub struct NameLine {
     pub name: Labelled,
     /// Publishers and servers.
-    pub writers: usize,
+    pub writers: Bounded<Labelled>,
     /// Readers and callers.
-    pub readers: usize,
+    pub readers: Bounded<Labelled>,
+    /// `topic`, `service`, or `endpoint` for the name of an entity itself.
     pub kind: &'static str,
     /// Frames, estimated from samples; none unless it is among the busiest.
     pub frames: Option<u64>,

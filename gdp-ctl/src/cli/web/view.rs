@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use gdp_proto::admin::links::{LinkStatus, PeerStatus, PeersReply};
 use gdp_proto::admin::status::StatusReply;
-use gdp_proto::admin::tables::{FibReply, RibReply};
+use gdp_proto::admin::tables::{FibReply, FibRoute, RibReply};
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_proto::admin::words::{PeerLink, PeerRole};
 use gdp_wire::Name;
@@ -21,6 +21,9 @@ pub const MAX_NODES: usize = 60;
 /// Most rows of a table.
 pub const MAX_ROWS: usize = 100;
 
+/// Most entities that a row names.
+const MAX_ENTITIES: usize = 3;
+
 /// The names that the switch or its RIB knows, and how many there are.
 #[derive(Debug, Default)]
 pub struct Names {
@@ -30,21 +33,29 @@ pub struct Names {
     pub attached: Option<BTreeMap<Name, usize>>,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+/// The entities of a name.
+#[derive(Clone, Debug, Default)]
 pub struct Roles {
-    pub writers: usize,
-    pub readers: usize,
+    pub writers: Vec<Name>,
+    pub readers: Vec<Name>,
     pub is_service: bool,
+}
+
+impl Roles {
+    /// Whether it is the name of an entity itself, to which others send reports and requests.
+    fn is_endpoint(&self) -> bool {
+        self.writers.is_empty() && self.readers.is_empty()
+    }
 }
 
 impl Names {
     pub fn of_rib(reply: &RibReply) -> Self {
         let mut roles = BTreeMap::<Name, Roles>::new();
         for record in &reply.records {
-            let Ok(role) = record.role() else { continue };
+            let (Ok(role), Ok(entity)) = (record.role(), record.entity.name()) else { continue };
             let known = roles.entry(record.name).or_default();
-            let count = if role.is_writer() { &mut known.writers } else { &mut known.readers };
-            *count += 1;
+            let side = if role.is_writer() { &mut known.writers } else { &mut known.readers };
+            side.push(entity);
             known.is_service = role.is_of_service();
         }
         let attached = reply.switches.iter().map(|switch| (switch.switch, switch.attached.len())).collect();
@@ -52,9 +63,11 @@ impl Names {
     }
 
     pub fn of_fib(reply: &FibReply) -> Self {
-        let of = |readers: usize, writers: usize| Roles { writers, readers, is_service: false };
-        let roles = reply.routes.iter().map(|route| (route.name, of(route.readers.len(), route.writers.len())));
-        Self { roles: roles.collect(), attached: None }
+        let of = |route: &FibRoute| {
+            let roles = Roles { writers: route.writers.clone(), readers: route.readers.clone(), is_service: false };
+            (route.name, roles)
+        };
+        Self { roles: reply.routes.iter().map(of).collect(), attached: None }
     }
 }
 
@@ -194,14 +207,22 @@ fn name_lines(status: &StatusReply, names: &Names, labels: &Labels) -> Bounded<N
     }
     let total = status.rib.as_ref().map_or(status.fib.names, |rib| rib.names).max(all.len());
     let mut rows: Vec<_> = all.into_iter().map(|(name, roles)| (busiest.get(&name).copied(), name, roles)).collect();
-    rows.sort_by_key(|(frames, name, _)| (std::cmp::Reverse(*frames), !labels.0.contains_key(name), *name));
+    // Names of endpoints, which have no records, come last.
+    rows.sort_by_key(|(frames, name, roles)| {
+        (roles.is_endpoint(), std::cmp::Reverse(*frames), !labels.0.contains_key(name), *name)
+    });
     rows.truncate(MAX_ROWS);
     let more = total - rows.len();
-    let line = |(frames, name, Roles { writers, readers, is_service })| NameLine {
+    let some = |entities: &[Name]| Bounded::new(entities.iter().map(|entity| labels.of(*entity)), MAX_ENTITIES);
+    let line = |(frames, name, roles): (Option<u64>, Name, Roles)| NameLine {
         name: labels.of(name),
-        writers,
-        readers,
-        kind: if is_service { "service" } else { "topic" },
+        writers: some(&roles.writers),
+        readers: some(&roles.readers),
+        kind: match roles.is_service {
+            _ if roles.is_endpoint() => "endpoint",
+            true => "service",
+            false => "topic",
+        },
         frames,
     };
     Bounded { rows: rows.into_iter().map(line).collect(), more }

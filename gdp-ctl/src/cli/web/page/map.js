@@ -3,7 +3,8 @@
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
-const MAP_WIDTH = 620;
+// The drawing is as wide as its panel, within these bounds, so that its texts keep their size.
+const MAP_WIDTHS = [320, 640];
 // From this number of switches on, only names are written.
 const CROWDED = 24;
 
@@ -47,24 +48,61 @@ const map = (() => {
       near[index.get(b)].push(index.get(a));
     }
     const far = distances(count, near);
-    let at = nodes.map((_, i) => [Math.cos((2 * Math.PI * i) / count), Math.sin((2 * Math.PI * i) / count)]);
-    for (let round = 0; round < 250; round++) {
-      at = at.map(([x, y], i) => {
+    // Majorization finds the nearest minimum, so it begins several times, each time with the nodes
+    // on a circle in another order. The first order is that of a walk through the graph.
+    const orders = [walk(near), nodes.map((_, i) => i)];
+    for (let step = 2; step < 10; step++) orders.push(orders[step % 2].map((_, i, of) => of[(i * step) % count]));
+    const isWhole = (order) => new Set(order).size === count;
+    const placed = orders.filter(isWhole).map((order) => majorize(order, far));
+    const best = placed.reduce((one, other) => (other.stress < one.stress * 0.999 ? other : one));
+    return turn(best.at);
+  }
+
+  // Returns all nodes, neighbours after one another.
+  function walk(near) {
+    const [order, seen] = [[], new Set()];
+    const visit = (node) => {
+      if (seen.has(node)) return;
+      seen.add(node);
+      order.push(node);
+      near[node].forEach(visit);
+    };
+    near.forEach((_, node) => visit(node));
+    return order;
+  }
+
+  // Moves the nodes to where their distances are nearest to their numbers of hops.
+  function majorize(order, far) {
+    const count = order.length;
+    const at = new Array(count);
+    order.forEach((node, i) => {
+      const angle = (2 * Math.PI * i) / count;
+      at[node] = [Math.cos(angle) * count / 6, Math.sin(angle) * count / 6];
+    });
+    const want = (i, j) => Math.max(far[i][j], far[j][i]);
+    for (let round = 0; round < 150; round++) {
+      for (let i = 0; i < count; i++) {
         let [sumX, sumY, sum] = [0, 0, 0];
         for (let j = 0; j < count; j++) {
           if (i === j) continue;
-          const want = Math.max(far[i][j], far[j][i]);
-          const [dx, dy] = [x - at[j][0], y - at[j][1]];
+          const [dx, dy] = [at[i][0] - at[j][0], at[i][1] - at[j][1]];
           const length = Math.hypot(dx, dy) || 1e-6;
-          const weight = 1 / (want * want);
-          sumX += weight * (at[j][0] + (want * dx) / length);
-          sumY += weight * (at[j][1] + (want * dy) / length);
+          const weight = 1 / want(i, j) ** 2;
+          sumX += weight * (at[j][0] + (want(i, j) * dx) / length);
+          sumY += weight * (at[j][1] + (want(i, j) * dy) / length);
           sum += weight;
         }
-        return sum ? [sumX / sum, sumY / sum] : [x, y];
-      });
+        if (sum) at[i] = [sumX / sum, sumY / sum];
+      }
     }
-    return turn(at);
+    let stress = 0;
+    for (let i = 0; i < count; i++) {
+      for (let j = 0; j < i; j++) {
+        const length = Math.hypot(at[i][0] - at[j][0], at[i][1] - at[j][1]);
+        stress += ((length - want(i, j)) / want(i, j)) ** 2;
+      }
+    }
+    return { at, stress };
   }
 
   // Turns the longest axis to the horizontal.
@@ -85,30 +123,35 @@ const map = (() => {
   }
 
   // Fits the points into the drawing. Returns them with its height.
-  function fit(at) {
+  function fit(at, width) {
     const spread = (axis) => Math.max(...at.map((p) => Math.abs(p[axis]))) || 0;
     const [wide, high] = [spread(0), spread(1)];
-    const scale = Math.min(120, (MAP_WIDTH / 2 - 64) / (wide || 1), 190 / (high || 1));
+    const scale = Math.min(170, (width / 2 - 70) / (wide || 1), 200 / (high || 1));
     const height = Math.max(112, 2 * high * scale + 96);
-    return [at.map(([x, y]) => [MAP_WIDTH / 2 + x * scale, height / 2 - 6 + y * scale]), height];
+    return [at.map(([x, y]) => [width / 2 + x * scale, height / 2 - 6 + y * scale]), height];
   }
 
-  function draw(nodes, edges, rates) {
+  function widthNow() {
+    const { clientWidth } = document.querySelector("#topology figure");
+    return Math.min(MAP_WIDTHS[1], Math.max(MAP_WIDTHS[0], clientWidth));
+  }
+
+  function draw(nodes, edges, rates, width) {
     const picture = document.getElementById("map");
     picture.replaceChildren();
     if (!nodes.length) {
-      picture.setAttribute("viewBox", `0 0 ${MAP_WIDTH} 60`);
-      picture.append(svg("text", { x: MAP_WIDTH / 2, y: 34, class: "sub" }, "No switch is known"));
+      picture.setAttribute("viewBox", `0 0 ${width} 60`);
+      picture.append(svg("text", { x: width / 2, y: 34, class: "sub" }, "No switch is known"));
       return;
     }
     // The order of names, so that a switch that fails does not move the others.
     const sorted = [...nodes].sort((a, b) => (a.switch.name < b.switch.name ? -1 : 1));
-    const [at, height] = fit(place(sorted, edges));
+    const [at, height] = fit(place(sorted, edges), width);
     const where = new Map(sorted.map((node, i) => [node.switch.name, at[i]]));
     const foreign = new Set(nodes.filter((node) => node.domain).map((node) => node.switch.name));
     const own = nodes.find((node) => node.own)?.switch.name;
     const crowded = nodes.length > CROWDED;
-    picture.setAttribute("viewBox", `0 0 ${MAP_WIDTH} ${height}`);
+    picture.setAttribute("viewBox", `0 0 ${width} ${height}`);
     const onPath = new Set(path.flatMap((hops) => hops.slice(1).map((hop, i) => [hops[i], hop].sort().join())));
     for (const { ends, cost, state } of edges) {
       const [[x1, y1], [x2, y2]] = ends.map((end) => where.get(end));
@@ -150,10 +193,11 @@ const map = (() => {
     // Draws the map if it has changed, and writes the rates on the links of this switch.
     show(nodes, edges, rates) {
       last = [nodes, edges];
-      const key = JSON.stringify([nodes, edges, path]);
+      const width = widthNow();
+      const key = JSON.stringify([nodes, edges, path, width]);
       if (key !== drawn) {
         drawn = key;
-        draw(nodes, edges, rates);
+        draw(nodes, edges, rates, width);
       }
       for (const label of document.querySelectorAll("#map [data-peer]")) {
         label.textContent = rates.get(label.dataset.peer) ?? "";

@@ -66,27 +66,27 @@ const tables = {
     { title: "RTT", kind: "number", cell: (row) => rttText(row.rtt_us) },
     { title: "since", kind: "number", cell: (row) => (row.age_s === null ? "–" : spanText(row.age_s)) },
     { title: "plane", cell: (row) => row.plane || "–" },
-    { title: "address, or why not", kind: "text", cell: (row) => row.reason ?? `${row.address} via ${row.via}` },
-  ], "This switch has no links. gdp-ctl invite lets a robot in."),
+    { title: "address or reason", cell: (row) => reach(row) },
+  ], ""),
   names: new Table("names", [
     { title: "name", cell: (row) => called(row.name, true) },
     { title: "kind", cell: (row) => row.kind },
-    { title: "writers", kind: "number", cell: (row) => String(row.writers) },
-    { title: "readers", kind: "number", cell: (row) => String(row.readers) },
+    { title: "from", cell: (row) => entities(row.writers) },
+    { title: "to", cell: (row) => entities(row.readers) },
     { title: "frames/s, about", kind: "number", cell: (row) => nameRate(row) },
-  ], "Nobody publishes or reads anything."),
+  ], ""),
   domains: new Table("domains", [
     { title: "domain", cell: (row) => called(row.domain) },
     { title: "kind", cell: (row) => row.kind },
     { title: "state", cell: (row) => stateCell(row.state) },
     { title: "ends in", kind: "number", cell: (row) => untilText(row.until, now) },
     { title: "detail", kind: "text", cell: (row) => row.detail },
-  ], "This switch belongs to no domain. gdp-ctl up makes one."),
+  ], ""),
   counters: new Table("counters", [
     { title: "counter", kind: "mono", cell: ([counter]) => counter },
     { title: "frames", kind: "number", cell: ([, count]) => countText(count) },
     { title: "per second", kind: "number", cell: ([counter]) => counterRate(counter) },
-  ], "No frame has arrived yet."),
+  ], ""),
   events: new Table("events", [
     { title: "time", kind: "mono", cell: (row) => new Date(row.at_ms).toLocaleTimeString("en-GB") },
     { title: "event", cell: (row) => ({ text: row.kind, className: eventClass(row.kind) }) },
@@ -94,9 +94,20 @@ const tables = {
   ], "Nothing has happened since this page's program started."),
 };
 
+function entities({ rows, more }) {
+  const names = rows.map((entity) => entity.label ?? entity.short).join(", ");
+  return { text: more ? `${names} +${more}` : names || "–" };
+}
+
 function membership(row) {
   const left = untilText(row.until, now);
   return row.renews ? { text: `${left.text}, renews`, className: "" } : left;
+}
+
+function reach({ reason, address, via }) {
+  if (reason) return { text: reason, className: "text" };
+  // Over UDP, `via` is the address of this switch, which the top of the page has.
+  return via.startsWith("udp") ? address.replace(/^udp:/, "") : `${address} ${via}`;
 }
 
 function dropCell(value) {
@@ -201,7 +212,12 @@ function small(panel, text) {
   setText(document.querySelector(`#${panel} h2 small`), text);
 }
 
+let shown = 0;
+
 function show(snapshot) {
+  // The same one again.
+  if (snapshot.at_ms === shown) return;
+  shown = snapshot.at_ms;
   now = snapshot.at_ms / 1000;
   remember(snapshot);
   showOwn(snapshot.switch);
@@ -221,10 +237,15 @@ function show(snapshot) {
   tables.robots.show(robots ?? { rows: [], more: 0 }, (row) => rowClass(row.state));
   const online = robots?.rows.filter((row) => row.state === "online").length;
   small("robots", robots ? `${online} of ${robots.rows.length + robots.more} online` : "");
+  const silent = "The daemon does not answer.";
+  tables.links.explain(own ? "This switch has no links. gdp-ctl invite lets a robot in." : silent);
+  tables.names.explain(own ? "Nobody publishes or reads anything." : silent);
+  tables.domains.explain(own ? "This switch belongs to no domain. gdp-ctl up makes one." : silent);
+  tables.counters.explain(own ? "No frame has arrived yet." : silent);
   tables.links.show(links, (row) => rowClass(row.state));
-  small("links", `${links.rows.filter((row) => row.state === "up").length} up`);
+  small("links", !own ? "" : `${links.rows.filter((row) => row.state === "up").length} up`);
   tables.names.show(names);
-  small("names", own?.rib_here ? "in the RIB" : "at this switch");
+  small("names", !own ? "" : own.rib_here ? "in the RIB" : "at this switch");
   tables.domains.show(domains, (row) => rowClass(row.state));
   const counters = Object.entries(snapshot.counters).filter(([, count]) => count > 0);
   tables.counters.show({ rows: counters, more: 0 });
@@ -306,7 +327,7 @@ document.getElementById("names").addEventListener("click", (event) => {
 });
 
 // Two columns where there is room; narrow pages order the panels by style.
-for (const panels of [["topology", "path", "traffic", "counters", "events"], ["robots", "links", "names", "domains"]]) {
+for (const panels of [["topology", "path", "traffic", "events"], ["robots", "links", "names", "domains", "counters"]]) {
   const column = element("div");
   column.append(...panels.map((panel) => document.getElementById(panel)));
   document.getElementById("panels").append(column);
