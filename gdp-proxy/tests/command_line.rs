@@ -27,6 +27,25 @@ fn check_reads_everything_and_says_so() {
 }
 
 #[test]
+fn the_ros_package_makes_what_the_proxy_accepts() {
+    let program = PathBuf::from(env!("CARGO_BIN_EXE_gdp-proxy"));
+    let executables = program.parent().unwrap();
+    assert!(executables.join("gdp-ctl").is_file(), "gdp-ctl is not built: run `cargo build --workspace` first");
+    let python = executables.parent().unwrap().join("venv-gdp-ros/bin/python");
+    assert!(python.is_file(), "{} does not exist: run `cargo xtask setup`", python.display());
+    let domain = lease();
+    let mut command = own(python);
+    // -B: the source tree stays as it is.
+    command.args(["-B", "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "test"]);
+    command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../ros/gdp_ros"));
+    command.env("GDP_BIN", executables).env("ROS_DOMAIN_ID", domain.to_string());
+    let output = command.output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    println!("{said}");
+    assert!(output.status.success() && said.contains(" passed"), "{said}{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
 fn a_mistake_is_one_line_with_file_key_and_remedy() {
     let files = Files::new();
     fs::write(files.path("chatter.ad"), "no certificate").unwrap();

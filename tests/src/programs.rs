@@ -35,6 +35,8 @@ programs! {
     Cargo = "cargo",
     /// Started by the linker's driver and by build scripts.
     Cc = "cc",
+    /// A browser without a window, for the page of `gdp-ctl web`.
+    Chromium = "chromium",
     Chrt = "chrt",
     Chroot = "chroot",
     /// Started by the build script of Cyclone DDS.

@@ -8,6 +8,7 @@ use super::output::Output;
 use crate::client::Client;
 
 /// The daemon's socket, and the output format.
+#[derive(Clone)]
 pub struct Context {
     pub socket: Option<PathBuf>,
     pub output: Output,

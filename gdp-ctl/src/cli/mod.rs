@@ -35,6 +35,7 @@ mod status;
 mod topic;
 mod topology;
 mod trace;
+mod web;
 mod xdp;
 
 use std::ffi::OsString;
@@ -148,6 +149,8 @@ enum Command {
     Ping(ping::Options),
     /// Print events of this machine's switch until ^C, such as links, refusals and routes.
     Monitor,
+    /// Show the switch, its domain and its robots on a web page.
+    Web(web::Options),
     /// Show the domain's switches, and the links between them.
     Topology(topology::Options),
     /// List, measure, read and publish topics, as `ros2 topic` does.
@@ -252,6 +255,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Trace(options) => trace::run(&options, context),
         Command::Ping(options) => ping::run(&options, context),
         Command::Monitor => monitor::run(context),
+        Command::Web(options) => web::run(options, context),
         Command::Topology(options) => topology::run(&options, context),
         Command::Topic(command) => topic::run(command, context),
         Command::Service(command) => service::run(command, context),

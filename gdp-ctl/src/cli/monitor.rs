@@ -14,7 +14,13 @@ pub fn run(context: &Context) -> anyhow::Result<()> {
 fn describe(TimedEvent { at, event }: &TimedEvent) -> String {
     let (seconds, millis) = (at / 1_000_000_000, at / 1_000_000 % 1000);
     let clock = format!("{:02}:{:02}:{:02}.{millis:03}Z", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
-    let (kind, what) = match event {
+    let (kind, what) = words(event);
+    format!("{clock}  {kind:12}  {what}")
+}
+
+/// Returns what kind of event it is, and the rest of its description.
+pub fn words(event: &Event) -> (&'static str, String) {
+    match event {
         Event::LinkUp { peer, role, relationship, via, address } => {
             ("link up", format!("{peer:#} ({role}, {relationship}) {via} {address}"))
         }
@@ -26,8 +32,7 @@ fn describe(TimedEvent { at, event }: &TimedEvent) -> String {
         Event::Topology { reached, switches } => ("topology", format!("{reached} of {switches} switches reached")),
         Event::Rib { names, switches } => ("rib", format!("{names} names, {switches} switches")),
         Event::Missed { events } => ("missed", format!("{events} events: this program reads too slowly")),
-    };
-    format!("{clock}  {kind:12}  {what}")
+    }
 }
 
 #[cfg(test)]

@@ -69,8 +69,16 @@ pub fn with_paths<T>(
         let by_node = async |fabric: &Fabric| what(&mut Paths::of_switch(name, fabric).await?).await;
         return node.with_fabric(node.keyring()?, context, by_node);
     }
-    let mut client = context.client()?;
-    let location = client.ask(&Request::Locate { what: prefix(name)? })?;
+    with_daemon_paths(&prefix(name)?, context.client()?, what)
+}
+
+/// Locates a name that the daemon's switch knows, and runs `what` with its paths.
+pub fn with_daemon_paths<T>(
+    name: &NamePrefix,
+    mut client: Client,
+    what: impl AsyncFnOnce(&mut Paths<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let location = client.ask(&Request::Locate { what: name.clone() })?;
     let mut paths = Paths { view: Vantage::Daemon(client), locations: vec![location], first_us: 0 };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(what(&mut paths))

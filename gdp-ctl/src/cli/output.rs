@@ -28,6 +28,7 @@ pub struct FailureOutput {
     pub error: ErrorReply,
 }
 
+#[derive(Clone)]
 pub struct Output {
     pub json: bool,
 }

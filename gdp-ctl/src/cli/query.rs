@@ -10,6 +10,7 @@ use gdp_core::cert::CertError;
 use gdp_core::name::NamePrefix;
 use gdp_proto::control::{EntityRequest, Record, Response};
 use gdp_util::terminal::note;
+use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -87,6 +88,31 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(&output, || {
         table(RECORD_COLUMNS, &output.records.iter().map(|verified| verified.record.row()).collect::<Vec<_>>())
     })
+}
+
+/// A record, and whether its certificates verify.
+pub struct CheckedRecord {
+    pub name: Name,
+    pub role: String,
+    pub entity: Name,
+    pub switch: Name,
+    pub verified: bool,
+}
+
+/// Returns the first records of the names with this prefix.
+pub fn first_page(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<Vec<CheckedRecord>> {
+    let request = EntityRequest::Query { prefix: prefix.clone(), after: None };
+    let Response::Records { records, .. } = client.ask(&Request::Entity { entity: None, request: request.into() })?
+    else {
+        bail!("the RIB answered another question");
+    };
+    let now = unix_seconds();
+    let check = |record: &Record| -> anyhow::Result<CheckedRecord> {
+        let verified = prefix.matches(&record.name) && record.verify(None, now).is_ok();
+        let RecordOutput { name, role, entity, switch, .. } = RecordOutput::new(record)?;
+        Ok(CheckedRecord { name, role, entity, switch, verified })
+    };
+    records.iter().map(check).collect()
 }
 
 /// Returns the records of the names with this prefix, and whether there are more than the maximum.

@@ -2,15 +2,17 @@
 //! each.
 
 use clap::Args;
+use gdp_core::name::NamePrefix;
 use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::name_location::{Paths, millis, with_paths};
+use super::name_location::{Paths, millis, with_daemon_paths, with_paths};
 use super::output::AlreadyPrinted;
 use crate::cli::context::Context;
 use crate::cli::node::NodeOptions;
+use crate::client::Client;
 use gdp_proto::admin::trace::{DomainHop, InsideHop, LocateReply, PathEnd, ProbeReply};
 use gdp_proto::admin::words::Outcome;
 
@@ -19,6 +21,10 @@ const TRIES: usize = 3;
 
 /// Number of consecutive hops without an answer after which the trace ends.
 const SILENT: usize = 4;
+
+/// Maximum number of paths, and of switches on each, in [`TraceLines`].
+const MAX_SHOWN: usize = 4;
+const SHOWN_HOPS: u8 = 16;
 
 /// Show the switches on the path to a name, and the time to each.
 ///
@@ -89,6 +95,25 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// A trace for a page that shows it.
+pub struct TraceLines {
+    pub lines: Vec<String>,
+    /// The switches of each path.
+    pub hops: Vec<Vec<Name>>,
+}
+
+/// Traces a name from the daemon's switch, to its first egress switches.
+pub fn from_daemon(what: &NamePrefix, client: Client) -> anyhow::Result<TraceLines> {
+    let of = async |paths: &mut Paths<'_>| {
+        paths.locations.iter_mut().for_each(|location| location.egress.truncate(MAX_SHOWN));
+        trace(SHOWN_HOPS, paths).await
+    };
+    let outputs = with_daemon_paths(what, client, of)?;
+    let paths = outputs.iter().flat_map(|output| &output.paths);
+    let hops = paths.map(|path| path.hops.iter().filter_map(|hop| hop.switch).collect()).collect();
+    Ok(TraceLines { lines: outputs.iter().flat_map(describe).collect(), hops })
 }
 
 /// Traces the paths to each located name.

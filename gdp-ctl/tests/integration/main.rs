@@ -2,6 +2,7 @@
 //! separate program would contain the whole daemon.
 
 mod attached;
+mod browser;
 mod cli;
 #[cfg(feature = "etcd")]
 mod cluster;
@@ -32,3 +33,4 @@ mod switch;
 mod topics;
 mod traces;
 mod user;
+mod web;

@@ -58,6 +58,8 @@ pub enum SetupPart {
     Ros2,
     /// Test the package for Python.
     Python,
+    /// Look at web pages as a browser does.
+    Browser,
     /// Compile the bridge that `bench ros` measures against.
     Zenoh,
     /// Run the simplest workload of the evaluation.
@@ -71,25 +73,25 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Python, Ros1, Ros2, Rosbags,
-            Workspace, Zenoh,
+            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Python, Ros1, Ros2,
+            Rosbags, Workspace, Zenoh,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
-            Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
-            Self::Test => &[
-                Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-            ],
+            Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
+            Self::Test => {
+                &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python, Browser]
+            }
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
-                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python, Eval,
-                Fresh,
+                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
+                Browser, Eval, Fresh,
             ],
         }
     }

@@ -250,6 +250,14 @@ pub const STEPS: &[SetupStep] = &[
     },
     SetupStep {
         part: SetupPart::Ros2,
+        what: "pytest 8.4.2 and PyYAML 6.0.3",
+        why: "tests of the ROS package gdp_ros; an environment of their own has nothing else of ROS",
+        wheels: &["pytest==8.4.2", "pyyaml==6.0.3"],
+        environment: "venv-gdp-ros",
+        ..WHEELS
+    },
+    SetupStep {
+        part: SetupPart::Ros2,
         what: "zenoh-ros2-sdk 0.1.8 and eclipse-zenoh 1.10.2",
         why: "nodes and a router of a graph of rmw_zenoh, which tests join",
         wheels: &["zenoh-ros2-sdk==0.1.8", "eclipse-zenoh==1.10.2"],
@@ -269,6 +277,15 @@ pub const STEPS: &[SetupStep] = &[
         ],
         environment: "venv-jazzy",
         ..WHEELS
+    },
+    SetupStep {
+        part: SetupPart::Browser,
+        what: "Chromium",
+        why: "tests open the page of `gdp-ctl web` in it, without a window",
+        programs: &[Program::Chromium],
+        packages: &["chromium", "fonts-dejavu-core"],
+        elsewhere: "install Chromium 120 or later",
+        ..NOTHING
     },
     SetupStep {
         part: SetupPart::Echo,

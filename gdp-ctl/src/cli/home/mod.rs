@@ -47,7 +47,9 @@ pub use admin::{BackupOutput, LogOutput};
 pub use applications::{ApproveOptions, DecisionOutput, DenyOptions, approve, deny};
 pub use fleet::ApplyOutput;
 pub use invite::InviteOutput;
-pub use robots::RobotsOutput;
+#[cfg(test)]
+pub use robots::MemberOutput;
+pub use robots::{RobotsOutput, robots_of};
 pub use rotate::RotationOutput;
 pub use {admin::Command as AdminCommand, admin::run as admin};
 pub use {fleet::Options as ApplyOptions, fleet::run as apply};
@@ -63,7 +65,7 @@ const APPLICANTS: &str = "applicants";
 const DAY: u64 = 86400;
 const HOUR: u64 = 3600;
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct HomeOptions {
     /// Folder of the domain's keys and files. Default: /etc/gdp/home for root, else
     /// ~/.config/gdp/home.

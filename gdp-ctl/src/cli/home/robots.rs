@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::renewals::is_of_server;
-use super::{HomeOptions, members};
+use super::{Home, HomeOptions, members};
 use crate::cli::context::Context;
 use crate::cli::domain::{Issue, To};
 use crate::cli::{output, query};
@@ -29,35 +29,49 @@ pub struct Options {
 /// Output of `gdp-ctl robots`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RobotsOutput {
-    members: Vec<MemberOutput>,
+    pub members: Vec<MemberOutput>,
 }
 
 /// A member, or whoever is invited as one.
 #[derive(Debug, Serialize, JsonSchema)]
-struct MemberOutput {
-    label: String,
+pub struct MemberOutput {
+    pub label: String,
     /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `pending`,
     /// `left`, `expired` or `revoked`.
-    state: &'static str,
+    pub state: &'static str,
     /// None if it has not joined.
-    entity: Option<Name>,
+    pub entity: Option<Name>,
     /// Of a machine that waits for approval: what it shows, to be compared.
-    fingerprint: Option<String>,
-    expose: Vec<String>,
+    pub fingerprint: Option<String>,
+    pub expose: Vec<String>,
     /// Each with the label of the other member.
-    import: Vec<String>,
-    read: Vec<String>,
+    pub import: Vec<String>,
+    pub read: Vec<String>,
     /// End of the membership, in Unix seconds.
-    until: u64,
+    pub until: u64,
     /// Time until which the join service renews the membership, in Unix seconds.
-    renews_until: u64,
+    pub renews_until: u64,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let home = options.home.home()?;
+    let output = list(&options.home.home()?, context)?;
+    let now = unix_seconds();
+    context.output.print(&output, || describe(&output, now))
+}
+
+/// Returns the members of the domain in this folder, or `None` if there is no domain.
+pub fn robots_of(options: &HomeOptions, context: &Context) -> anyhow::Result<Option<RobotsOutput>> {
+    let home = options.home()?;
+    if !home.path("domain.card").exists() {
+        return Ok(None);
+    }
+    list(&home, context).map(Some)
+}
+
+fn list(home: &Home, context: &Context) -> anyhow::Result<RobotsOutput> {
     let ledger = home.ledger()?;
     let now = unix_seconds();
-    let service = members::stored(&home)?;
+    let service = members::stored(home)?;
     let joined: BTreeMap<u64, MemberRow> =
         service.rows(now).into_iter().map(|row| (row.enrollment.member, row)).collect();
     let online = online(&joined, context);
@@ -108,24 +122,24 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         renews_until: 0,
     });
     let members = ledger.issued.iter().filter(is_member).map(member).chain(waiting).collect();
-    let output = RobotsOutput { members };
-    context.output.print(&output, || {
-        let row = |member: &MemberOutput| {
-            let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
-            let entity = member.fingerprint.clone().unwrap_or(entity);
-            let ends = match member.until {
-                0 => format!("gdp-ctl approve {}", member.label),
-                until if until < member.renews_until => format!("{}, renews", rounded(until.saturating_sub(now))),
-                until => rounded(until.saturating_sub(now)),
-            };
-            let lists = [&member.expose, &member.import, &member.read];
-            let [expose, import, read] =
-                lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
-            [member.label.clone(), member.state.to_owned(), entity, expose, import, read, ends]
+    Ok(RobotsOutput { members })
+}
+
+fn describe(output: &RobotsOutput, now: u64) -> Vec<String> {
+    let row = |member: &MemberOutput| {
+        let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
+        let entity = member.fingerprint.clone().unwrap_or(entity);
+        let ends = match member.until {
+            0 => format!("gdp-ctl approve {}", member.label),
+            until if until < member.renews_until => format!("{}, renews", rounded(until.saturating_sub(now))),
+            until => rounded(until.saturating_sub(now)),
         };
-        let rows: Vec<_> = output.members.iter().map(row).collect();
-        output::table(["label", "state", "entity", "exposes", "imports", "reads", "ends in"], &rows)
-    })
+        let lists = [&member.expose, &member.import, &member.read];
+        let [expose, import, read] = lists.map(|list| if list.is_empty() { "–".to_owned() } else { list.join(" ") });
+        [member.label.clone(), member.state.to_owned(), entity, expose, import, read, ends]
+    };
+    let rows: Vec<_> = output.members.iter().map(row).collect();
+    output::table(["label", "state", "entity", "exposes", "imports", "reads", "ends in"], &rows)
 }
 
 /// Returns the entities that publish their catalog now. `None` if no daemon answers.

@@ -10,6 +10,8 @@ use clap::Args;
 use gdp_proto::control::Record;
 use gdp_wire::Name;
 
+pub use links::{Edge, edges};
+
 use super::output::{lines_of, or_dash, table};
 use crate::cli::context::Context;
 use crate::client::Client;

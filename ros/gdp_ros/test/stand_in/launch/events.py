@@ -1,0 +1,8 @@
+"""Events."""
+
+
+class Shutdown:
+    """The end of the launch."""
+
+    def __init__(self, *, reason):
+        self.reason = reason

@@ -1,0 +1,1 @@
+"""The part of ros2cli that plugins derive from and call."""
