@@ -82,6 +82,10 @@ enum Command {
         /// Run here until ^C, also where the package has a service for it
         #[arg(long, conflicts_with = "no_run")]
         foreground: bool,
+        /// If this machine has joined, use no invitation and run: for images that join at their first
+        /// start
+        #[arg(long)]
+        unless_joined: bool,
         /// End after joining; start the proxy later with the printed configuration
         #[arg(long)]
         no_run: bool,
@@ -167,9 +171,11 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 
 fn run(arguments: Arguments) -> Result<()> {
     let arguments = match arguments.command {
-        Some(Command::Join { line, file, asks, dir, foreground, no_run, stats }) => {
+        Some(Command::Join { line, file, asks, dir, foreground, unless_joined, no_run, stats }) => {
             let home = Home::new(dir)?;
-            join(&home, line, file, asks)?;
+            if !(unless_joined && home.config().exists()) {
+                join(&home, line, file, asks)?;
+            }
             let services = services(&home).filter(|_| !foreground && !no_run && stats.is_none());
             if let Some(services) = services {
                 services.start(&[UNIT])?;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::Build;
-use crate::setup::ZIG_ENVIRONMENT;
+use crate::setup::{self, Purpose, ZIG_ENVIRONMENT};
 use crate::workspace::{self, FEATURES, Profile};
 use crate::{build, shell};
 
@@ -26,13 +26,25 @@ pub fn executables(options: &Build) -> Result<Executables> {
         build::executables(build::Executables::All, Profile::Checked, build::Features::default())?;
         return Ok(Executables::of(&Profile::Checked.executables()));
     }
+    setup::ensure(Purpose::Release)?;
     build::ebpf()?;
     let profile = if options.quick { Profile::Release } else { Profile::Dist };
     let target = options.arch.target();
     let (major, minor) = GLIBC;
     let mut command = shell::cargo();
     command.args(["zigbuild", "--profile", profile.name(), "--target", &format!("{target}.{major}.{minor}")]);
-    command.args(["-p", "gdp-ctl", "-p", "gdp-proxy", "--features", FEATURES, "--bin", "gdp-ctl", "--bin", "gdp-proxy"]);
+    command.args([
+        "-p",
+        "gdp-ctl",
+        "-p",
+        "gdp-proxy",
+        "--features",
+        FEATURES,
+        "--bin",
+        "gdp-ctl",
+        "--bin",
+        "gdp-proxy",
+    ]);
     let own = workspace::target().join(ZIG_ENVIRONMENT).join("bin");
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::env::join_paths(std::iter::once(own).chain(std::env::split_paths(&paths)));
