@@ -23,6 +23,7 @@ use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, SERVER, directory_card, fingerprint, join_card};
 use gdp_util::escape::escape_json;
+use gdp_util::folders;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use gdp_wire::Name;
 
@@ -102,12 +103,16 @@ impl InvitationSource {
 impl Home {
     /// Uses this folder, or the machine's.
     pub fn new(folder: Option<PathBuf>) -> Result<Self> {
-        let folder = folder.or_else(gdp_util::folders::configuration);
+        let folder = folder.or_else(folders::configuration);
         Ok(Self { folder: folder.context("no place for keys: say where with --dir, or set HOME")? })
     }
 
     fn file(&self, name: &str) -> PathBuf {
         self.folder.join(name)
+    }
+
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// Returns the path of the proxy's configuration.
@@ -133,7 +138,7 @@ impl Home {
                 self.config().display()
             );
         }
-        fs::create_dir_all(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))
+        folders::create(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))
     }
 
     /// Asks to join until a person has decided, and returns the invitation.

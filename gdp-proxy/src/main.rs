@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use gdp_core::cert::enrollment::MAX_LABEL;
 use gdp_directory::of_server;
 use gdp_proxy::config::schema;
@@ -18,6 +18,7 @@ use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
 use gdp_util::file_watch::FileWatcher;
+use gdp_util::services::Services;
 use gdp_util::{descriptors, log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -57,6 +58,9 @@ struct Arguments {
     stats: Option<PathBuf>,
 }
 
+/// The package's unit for the proxy of this machine.
+const UNIT: &str = "gdp-proxy.service";
+
 #[derive(Subcommand)]
 enum Command {
     /// Join a trust domain with an invitation of `gdp-ctl invite`, then run. The keys are made here
@@ -75,6 +79,13 @@ enum Command {
         /// Folder for keys and configuration [default: /etc/gdp for root, else ~/.config/gdp]
         #[arg(long, value_name = "FOLDER")]
         dir: Option<PathBuf>,
+        /// Run here until ^C, also where the package has a service for it
+        #[arg(long, conflicts_with = "no_run")]
+        foreground: bool,
+        /// If this machine has joined, use no invitation and run: for images that join at their first
+        /// start
+        #[arg(long)]
+        unless_joined: bool,
         /// End after joining; start the proxy later with the printed configuration
         #[arg(long)]
         no_run: bool,
@@ -82,6 +93,11 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         stats: Option<PathBuf>,
     },
+    /// Print the completions of commands and options for a shell
+    Completion { shell: clap_complete::Shell },
+    /// Write a manual page for each command into a folder
+    #[command(hide = true)]
+    Manual { folder: PathBuf },
     /// Leave the trust domain: end the membership of this machine and remove its files
     Leave {
         /// Leave even if the domain does not answer
@@ -155,18 +171,30 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
 
 fn run(arguments: Arguments) -> Result<()> {
     let arguments = match arguments.command {
-        Some(Command::Join { line, file, asks, dir, no_run, stats }) => {
+        Some(Command::Join { line, file, asks, dir, foreground, unless_joined, no_run, stats }) => {
             let home = Home::new(dir)?;
-            join(&home, line, file, asks)?;
+            if !(unless_joined && home.config().exists()) {
+                join(&home, line, file, asks)?;
+            }
+            let services = services(&home).filter(|_| !foreground && !no_run && stats.is_none());
+            if let Some(services) = services {
+                services.start(&[UNIT])?;
+                return Ok(terminal::print([format!("Running   as {UNIT}, now and at each boot")])?);
+            }
             if no_run {
                 return Ok(());
             }
             Arguments { command: None, config: Some(home.config()), stats, ..arguments }
         }
         Some(Command::Leave { force, dir }) => {
-            let home = Home::new(dir)?;
-            return Ok(terminal::print(once()?.block_on(home.leave(force))?)?);
+            return leave(&Home::new(dir)?, force);
         }
+        Some(Command::Completion { shell }) => {
+            let mut completions = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "gdp-proxy", &mut completions);
+            return Ok(terminal::print(String::from_utf8_lossy(&completions).lines())?);
+        }
+        Some(Command::Manual { folder }) => return Ok(clap_mangen::generate_to(Arguments::command(), folder)?),
         None => arguments,
     };
     let Some(path) = arguments.file.clone().or(arguments.config.clone()) else {
@@ -193,6 +221,26 @@ fn join(home: &Home, line: Option<String>, file: Option<PathBuf>, asks: Asks) ->
     };
     let joined = once()?.block_on(home.join(&source.read()?, asks.wishes()?, terminal::note))?;
     Ok(terminal::print(joined.lines)?)
+}
+
+/// Leaves the domain. The service stops before, because only one process may use the key.
+fn leave(home: &Home, force: bool) -> Result<()> {
+    let services = services(home);
+    services.as_ref().map_or(Ok(()), |services| services.stop(&[UNIT]))?;
+    match once()?.block_on(home.leave(force)) {
+        Ok(lines) => Ok(terminal::print(lines)?),
+        Err(error) => {
+            if let Some(Err(failed)) = services.map(|services| services.start(&[UNIT])) {
+                terminal::note(format_args!("gdp-proxy: {failed}"));
+            }
+            Err(error)
+        }
+    }
+}
+
+/// Returns the package's units, if they use this folder.
+fn services(home: &Home) -> Option<Services> {
+    Services::find(UNIT, home.folder(), "/etc/gdp")
 }
 
 /// Returns a runtime for one exchange with the domain.

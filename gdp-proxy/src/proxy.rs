@@ -11,6 +11,7 @@ use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use gdp_util::line_limit::differ_in_digits_at_most;
+use gdp_util::service_manager::ServiceManager;
 use gdp_util::ticks::Ticks;
 use tokio::sync::watch;
 
@@ -39,6 +40,10 @@ const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 /// Time after which the log reports that no switch has answered.
 const SILENCE: Duration = Duration::from_secs(2);
 
+/// Status lines for the service manager. A switch that is away is no reason to restart the proxy.
+const CONNECTED: &str = "connected to the switch";
+const TRYING: &str = "no switch answers yet; trying on";
+
 /// The log line if nothing says why.
 const OPEN: &str = "no answer yet; is `gdp-ctl up` or `gdp-ctl serve` running there, and UDP open on the way?";
 
@@ -57,7 +62,10 @@ pub async fn run(
         Some(relay) => Some(relay.start().await.context("relay")?),
         None => None,
     };
-    let ended = carry(loaded, watch, stats, stop).await;
+    let mut manager = ServiceManager::from_environment();
+    manager.status("connecting to the switch");
+    let ended = carry(loaded, watch, stats, stop, &mut manager).await;
+    manager.stopping();
     if let Some(relay) = relay {
         relay.stop().await;
     }
@@ -70,6 +78,7 @@ async fn carry(
     mut watch: Watch,
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
+    manager: &mut ServiceManager,
 ) -> Result<()> {
     watch.taken(&loaded);
     if let Some(file) = &stats {
@@ -77,7 +86,7 @@ async fn carry(
     }
     let mut stop = std::pin::pin!(stop);
     let node = tokio::select! {
-        node = connect(&loaded) => node?,
+        node = connect(&loaded, manager) => node?,
         () = &mut stop => return Ok(()),
     };
     let ros_node = format!("{}{}", graph::NODE, &node.name().to_string()[..8]);
@@ -113,6 +122,7 @@ async fn carry(
     ));
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), &[], None)?;
     running.want(&mut automatic, &explicit);
+    manager.ready(CONNECTED);
     let mut looks = ticks();
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
@@ -126,6 +136,7 @@ async fn carry(
             }
             _ = looks.tick() => {
                 running.look();
+                manager.alive(Instant::now());
                 if let Some(status) = &directory_status {
                     directory::look(status, &node);
                 }
@@ -136,7 +147,9 @@ async fn carry(
                     diagnostics.tell(&running.routes.stats(), &graphs, &types).await;
                 }
             }
-            () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
+            () = watch.changed() => {
+                manager.reloading();
+                match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
                     let (new_config, old_config) = (&new.config, &loaded.config);
                     if new_config.diagnostics != old_config.diagnostics || new_config.graphs != old_config.graphs {
@@ -156,7 +169,9 @@ async fn carry(
                                          {error}");
                     }
                 }
-            },
+                }
+                manager.ready(CONNECTED);
+            }
             Ok(()) = members.changed() => {
                 let known = members.borrow_and_update().clone();
                 automatic = Automatic::new(&loaded, &graphs, node.name(), &known, Some(automatic))?;
@@ -167,6 +182,7 @@ async fn carry(
         }
     };
 
+    manager.stopping();
     tracing::info!("leaving");
     let last = running.close().await;
     stats_writer.show(&node, directory_status.as_ref(), last);
@@ -238,7 +254,7 @@ async fn load_again(
 
 /// Connects to a switch. It retries while no switch answers, because the switch may start later.
 /// Errors that waiting cannot fix are returned at once.
-async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
+async fn connect(Loaded { config, material }: &Loaded, manager: &mut ServiceManager) -> Result<Node> {
     let node = NodeConfig {
         identity: material.identity.clone(),
         links: config.links.iter().map(LinkConfig::from).collect(),
@@ -262,6 +278,7 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
             reason = silence, if reported.is_none() => {
                 let reason = reason.map_or_else(|| OPEN.to_owned(), |reason| format!("no answer yet: {reason}"));
                 tracing::warn!(links = %addresses, "{reason} Trying on");
+                trying(manager);
                 connecting.await
             }
         };
@@ -274,10 +291,17 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
                     tracing::warn!(links = %addresses, "no switch yet: {error}; trying on");
                 }
                 reported = Some(error);
+                trying(manager);
             }
             Err(error) => return Err(error).with_context(|| format!("cannot attach at {addresses}")),
         }
     }
+}
+
+/// The service manager need not restart a proxy that waits for its switch.
+fn trying(manager: &mut ServiceManager) {
+    manager.ready(TRYING);
+    manager.alive(Instant::now());
 }
 
 /// The routes that the configuration lists.

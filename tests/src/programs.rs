@@ -30,11 +30,13 @@ macro_rules! programs {
 }
 
 programs! {
+    AptGet = "apt-get",
     /// Built by setup; possibly only in the folder of `cargo install`.
     BpfLinker = "bpf-linker",
     Cargo = "cargo",
     /// Started by the linker's driver and by build scripts.
     Cc = "cc",
+    CcArm64 = "aarch64-linux-gnu-gcc",
     /// A browser without a window, for the page of `gdp-ctl web`.
     Chromium = "chromium",
     Chrt = "chrt",
@@ -44,13 +46,18 @@ programs! {
     Cp = "cp",
     Cxx = "c++",
     Debootstrap = "debootstrap",
+    DpkgDeb = "dpkg-deb",
     DpdkTestpmd = "dpdk-testpmd",
     Etcd = "etcd",
     Etcdctl = "etcdctl",
     Ethtool = "ethtool",
     Fastddsgen = "fastddsgen",
     Git = "git",
+    Gzip = "gzip",
     Ip = "ip",
+    Lintian = "lintian",
+    Md5sum = "md5sum",
+    Mke2fs = "mke2fs",
     Mount = "mount",
     Nft = "nft",
     Objcopy = "objcopy",
@@ -60,12 +67,17 @@ programs! {
     Protoc = "protoc",
     /// Debian's Python, which has the modules of ROS 1; `PATH` may list another one first.
     Python3 = "/usr/bin/python3",
+    QemuArm64 = "qemu-aarch64-static",
+    QemuSystem = "qemu-system-x86_64",
+    Readelf = "readelf",
     Rosmaster = "/usr/bin/rosmaster",
     Rustc = "rustc",
     Setpriv = "setpriv",
     Sh = "sh",
     Sleep = "sleep",
     Stdbuf = "stdbuf",
+    SystemdAnalyze = "systemd-analyze",
+    Tar = "tar",
     Tc = "tc",
     Umount = "umount",
     Unshare = "unshare",

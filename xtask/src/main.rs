@@ -13,6 +13,7 @@ mod eval;
 mod field_report;
 mod fresh;
 mod fuzz;
+mod package;
 mod pairings;
 mod peers;
 mod reference;
@@ -55,6 +56,8 @@ enum Verb {
     Reference(reference::Options),
     /// Try each ROS software with rclpy through two proxies, and print the table of docs/ros.md
     Pairings(pairings::Options),
+    /// Make Debian packages, a tar and an image, and check them
+    Package(package::Options),
     /// Fuzz the parsers of untrusted input
     Fuzz(fuzz::Options),
     /// Run proxies and a switch under churn and kills, and check what they use (needs root)
@@ -80,6 +83,7 @@ fn main() -> ExitCode {
         Verb::Book(options) => book::run(options),
         Verb::Reference(options) => reference::run(options),
         Verb::Pairings(options) => pairings::run(options),
+        Verb::Package(options) => package::run(options),
         Verb::Fuzz(options) => fuzz::run(options),
         Verb::Soak(options) => soak::run(options),
         Verb::Fresh(options) => fresh::run(options),

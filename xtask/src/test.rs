@@ -4,6 +4,7 @@
 use std::process::Command;
 
 use anyhow::{Result, bail};
+use gdp_tests::programs::Program;
 
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
@@ -25,6 +26,9 @@ pub struct Options {
     /// Run all tests that need no root, including those with DPDK
     #[arg(long, conflicts_with_all = ["unit", "root"])]
     no_root: bool,
+    /// Run the unit tests of wire format, certificates, sealing and RIB as on arm64, with qemu
+    #[arg(long, conflicts_with_all = ["unit", "root", "no_root"])]
+    arm64: bool,
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -33,6 +37,10 @@ pub fn run(options: Options) -> Result<()> {
         peers::build()?;
         // Only the default members, without the DPDK data plane.
         return shell::say_and_run(tests(&options).arg(if options.no_run { "--no-run" } else { "--no-fail-fast" }));
+    }
+    if options.arm64 {
+        setup::ensure(Purpose::Arm64)?;
+        return shell::say_and_run(&mut arm64(&options));
     }
     if !workspace::is_root() {
         // Skipped tests would look like success, above all in CI.
@@ -94,5 +102,18 @@ fn tests(options: &Options) -> Command {
     let mut command = shell::cargo();
     command.args(["test", "--profile", Profile::Checked.name(), "--features", workspace::FEATURES]);
     command.args(options.filter.as_deref());
+    command
+}
+
+/// Returns the command that runs the tests of crates without I/O for arm64.
+fn arm64(options: &Options) -> Command {
+    let mut command = shell::cargo();
+    command.args(["test", "--profile", Profile::Checked.name(), "--target", "aarch64-unknown-linux-gnu", "--lib"]);
+    command.args(["-p", "gdp-wire", "-p", "gdp-core", "-p", "gdp-e2e", "-p", "gdp-rib"]);
+    command.args(options.filter.as_deref());
+    let runner = format!("{} -L /usr/aarch64-linux-gnu", Program::QemuArm64.name());
+    command.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER", runner);
+    command.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", Program::CcArm64.name());
+    command.env("CC_aarch64_unknown_linux_gnu", Program::CcArm64.name());
     command
 }

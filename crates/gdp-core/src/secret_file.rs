@@ -1,10 +1,10 @@
 //! Files that hold secrets. They are created with mode 0600 and never visible half-written or with
-//! a wider mode. A file that others than the owner can access is refused. They hold private keys
+//! a wider mode. They belong to the owner of the folder, if root creates them. A file that others than the owner can access is refused. They hold private keys
 //! and the command line's state of a name; the caller defines the content.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
@@ -69,17 +69,25 @@ fn with_temporary(
     file_name.push(format!(".{}.tmp", hex::encode(suffix)));
     let temporary = path.with_file_name(file_name);
 
-    let written = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&temporary)
-        .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
+    let written = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&temporary).and_then(|mut file| {
+        give_to_owner_of_folder(&file, path)?;
+        file.write_all(content).and_then(|()| file.sync_all())
+    });
     let result = written.map_err(io).and_then(|()| place(&temporary));
     // A failure needs no handling: the file has moved, was not created, or its name does not
     // matter.
     let _ = fs::remove_file(&temporary);
     result
+}
+
+/// Gives what root writes into another user's folder to that user, whose programs read it.
+fn give_to_owner_of_folder(file: &File, path: &Path) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let (own, above) = (file.metadata()?, folder.metadata()?);
+    match own.uid() == 0 && above.uid() != 0 {
+        true => fchown(file, Some(above.uid()), Some(above.gid())),
+        false => Ok(()),
+    }
 }
 
 /// Returns the contents of a file as [`read`] does, or `None` if it does not exist.

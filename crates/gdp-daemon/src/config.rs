@@ -45,6 +45,8 @@ pub struct Config {
     pub identity: PathBuf,
     /// The path of the admin socket.
     pub socket: PathBuf,
+    /// Whether this process's group may use the socket. Not an option of the file.
+    pub group_socket: bool,
     /// The Ethernet interfaces that carry links directly. `None`: those that other keys name. See
     /// [`Config::named_interfaces`].
     pub interfaces: Option<Vec<String>>,
@@ -162,6 +164,7 @@ impl Config {
     pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
         Self {
             socket: identity.with_extension("sock"),
+            group_socket: false,
             identity,
             interfaces: Some(Vec::new()),
             all_interfaces: false,
@@ -425,6 +428,7 @@ impl File {
                 Some(path) => here(path),
                 None => folders::admin_socket()?,
             },
+            group_socket: false,
             interfaces: self.interfaces,
             all_interfaces: false,
             udp: match self.udp {

@@ -35,6 +35,10 @@ const THIS_NAMESPACE: &str = "/proc/thread-self/ns/net";
 /// Folder of this project in the BPF file system.
 const FOLDER: &str = "gdp";
 
+/// Folder of the service's switch. Its user sees it as the root of the BPF file system, because only
+/// root may enter that.
+const OF_SERVICE: &str = "gdp-switch";
+
 /// Reasons why the pins of a switch cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PinsError {
@@ -207,7 +211,8 @@ impl Found {
 /// system.
 pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
     let mut found = Vec::new();
-    for version in entries(&bpffs.join(FOLDER)) {
+    let roots = [bpffs.join(FOLDER), bpffs.join(OF_SERVICE).join(FOLDER)];
+    for version in roots.iter().flat_map(|root| entries(root)) {
         let Some(abi) = file_name(&version).strip_prefix('v').and_then(|abi| abi.parse().ok()) else { continue };
         for folder in entries(&version) {
             let name = file_name(&folder);

@@ -1,8 +1,12 @@
 //! The default folders of state (keys), of the configuration and of the admin socket, for root and
 //! for other users.
 
-use std::fmt;
-use std::path::PathBuf;
+use std::os::unix::fs::{MetadataExt as _, lchown};
+use std::path::{Path, PathBuf};
+use std::{fmt, fs, io};
+
+/// The admin socket of a switch that root or the service manager started.
+const SYSTEM_SOCKET: &str = "/run/gdp/ctl.sock";
 
 #[derive(Debug)]
 pub struct NoFolder;
@@ -38,7 +42,7 @@ pub fn state() -> Result<PathBuf, NoFolder> {
 /// user has no runtime folder.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
     if is_root() {
-        return Ok("/run/gdp/ctl.sock".into());
+        return Ok(SYSTEM_SOCKET.into());
     }
     let folder = match absolute("XDG_RUNTIME_DIR") {
         Some(base) => base.join("gdp"),
@@ -63,4 +67,40 @@ pub fn configuration() -> Option<PathBuf> {
 /// relative paths.
 fn absolute(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
+}
+
+/// Returns the path of the admin socket for commands: the user's own, or that of the system's
+/// switch, if only that one exists.
+pub fn admin_socket_for_commands() -> Result<PathBuf, NoFolder> {
+    let of_system = PathBuf::from(SYSTEM_SOCKET);
+    match admin_socket() {
+        Ok(own) if own.exists() || !of_system.exists() => Ok(own),
+        Err(error) if !of_system.exists() => Err(error),
+        _ => Ok(of_system),
+    }
+}
+
+/// Creates a folder as `create_dir_all` does. What root creates inside another user's folder
+/// belongs to that user, so that its programs can use it.
+pub fn create(folder: &Path) -> io::Result<()> {
+    let missing: Vec<_> =
+        folder.ancestors().take_while(|path| !path.as_os_str().is_empty() && !path.exists()).collect();
+    fs::create_dir_all(folder)?;
+    missing.into_iter().rev().try_for_each(give_to_owner_above)
+}
+
+/// Gives a file or folder to the owner of the folder that it is in, as [`give_to_owner_of`] does.
+pub fn give_to_owner_above(path: &Path) -> io::Result<()> {
+    let above = path.parent().filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    give_to_owner_of(above, path)
+}
+
+/// Gives a file or folder to the owner of `folder`, if this process is root and that owner is not.
+/// It does not follow a symbolic link.
+pub fn give_to_owner_of(folder: &Path, path: &Path) -> io::Result<()> {
+    let owner = folder.metadata()?;
+    match is_root() && owner.uid() != 0 {
+        true => lchown(path, Some(owner.uid()), Some(owner.gid())),
+        false => Ok(()),
+    }
 }

@@ -11,6 +11,8 @@
 //!   `program`)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
 //! - [`processes`]: signals to child processes (feature `program`)
+//! - [`service_manager`]: notifications to systemd (feature `program`)
+//! - [`services`]: the units of the packages (feature `program`)
 //! - [`terminal`]: output lines for users (feature `program`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
@@ -34,6 +36,10 @@ pub mod log;
 pub mod panics;
 #[cfg(feature = "program")]
 pub mod processes;
+#[cfg(feature = "program")]
+pub mod service_manager;
+#[cfg(feature = "program")]
+pub mod services;
 #[cfg(feature = "program")]
 pub mod terminal;
 pub mod ticks;

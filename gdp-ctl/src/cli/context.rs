@@ -18,7 +18,7 @@ impl Context {
     pub fn client(&self) -> anyhow::Result<Client> {
         let path = match &self.socket {
             Some(path) => path.clone(),
-            None => folders::admin_socket()?,
+            None => folders::admin_socket_for_commands()?,
         };
         Ok(Client::connect(&path)?)
     }

@@ -164,6 +164,15 @@ enum Command {
     Action(action::Command),
     /// Check that this machine can run a switch, and suggest a remedy for each problem.
     Doctor(doctor::Options),
+    /// Print the completions of commands and options for a shell.
+    Completion {
+        shell: clap_complete::Shell,
+    },
+    /// Write a manual page for each command into a folder.
+    #[command(hide = true)]
+    Manual {
+        folder: PathBuf,
+    },
     /// Show or remove the programs that forward in the kernel, also without a daemon.
     #[command(subcommand)]
     Xdp(xdp::Command),
@@ -260,6 +269,12 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Topic(command) => topic::run(command, context),
         Command::Service(command) => service::run(command, context),
         Command::Action(command) => action::run(command, context),
+        Command::Completion { shell } => {
+            let mut completions = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "gdp-ctl", &mut completions);
+            Ok(terminal::print(String::from_utf8_lossy(&completions).lines())?)
+        }
+        Command::Manual { folder } => Ok(clap_mangen::generate_to(Cli::command(), folder)?),
         Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),
     }

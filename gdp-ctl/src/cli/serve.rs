@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Args;
@@ -10,6 +11,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::cli::context::Context;
 use gdp_daemon::config::{Config, DataPlane};
 use gdp_daemon::{privileges, serve};
+use gdp_util::service_manager::ServiceManager;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -43,6 +45,9 @@ pub struct Options {
     /// that a new daemon can take over during an upgrade.
     #[arg(long)]
     keep: bool,
+    /// Let this process's group use the admin socket as well.
+    #[arg(long)]
+    group_socket: bool,
 }
 
 /// Returns this process's command line, quoted for a shell.
@@ -71,6 +76,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     }
     config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
     config.all_interfaces = options.all_interfaces;
+    config.group_socket = options.group_socket;
     if !options.interface.is_empty() {
         config.name_interfaces(options.interface);
     }
@@ -92,12 +98,20 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
         #[cfg(debug_assertions)]
         tokio::spawn(gdp_util::panics::inject());
+        let mut manager = ServiceManager::from_environment();
+        manager.status("starting");
         let running = serve::start(config).await?;
-        tracing::info!("{}", running.ready().line(&command()));
-        tokio::select! {
-            _ = terminate.recv() => tracing::info!("SIGTERM: shutting down"),
-            _ = interrupt.recv() => tracing::info!("SIGINT: shutting down"),
+        let ready = running.ready().line(&command());
+        tracing::info!("{ready}");
+        manager.ready(&ready);
+        loop {
+            tokio::select! {
+                _ = terminate.recv() => break tracing::info!("SIGTERM: shutting down"),
+                _ = interrupt.recv() => break tracing::info!("SIGINT: shutting down"),
+                () = running.worked() => manager.alive(Instant::now()),
+            }
         }
+        manager.stopping();
         if options.keep && running.outlives() {
             running.resign().await;
             tracing::info!("the kernel forwards on; start the next daemon soon, or run `gdp-ctl xdp detach`");

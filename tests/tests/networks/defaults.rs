@@ -9,6 +9,7 @@
 use std::fs::{self, Permissions};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, chown};
+use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -23,8 +24,6 @@ use serde_json::{Value, json};
 
 /// CAP_NET_ADMIN, CAP_NET_RAW, CAP_PERFMON and CAP_BPF in `/proc/PID/status`.
 const FOUR_CAPABILITIES: &str = "000000c000003000";
-/// The same capabilities in the form that setpriv expects.
-const GRANTED: &str = "-all,+net_admin,+net_raw,+perfmon,+bpf";
 /// The neighbour's key, in a separate folder.
 const FAR: &str = "far/key.pem";
 /// Debian's user `nobody`.
@@ -152,18 +151,27 @@ fn of_roots_capabilities_it_keeps_four_and_they_suffice_for_all_that_comes() -> 
 fn capabilities_and_not_root_decide_what_is_possible() -> Result<()> {
     let site = Site::build()?;
     site.give_to_nobody()?;
-    let mut granted = site.as_nobody(GRANTED)?;
+    let manager = UnixDatagram::bind(site.file("notify"))?;
+    manager.set_read_timeout(Some(TIMEOUT))?;
+    chown(site.file("notify"), Some(NOBODY), Some(NOBODY))?;
+    let mut granted = site.as_nobody(&capabilities_of_the_unit()?)?;
     let daemon = site.start({
-        granted.args(["--interface", "e1"]);
+        granted.args(["--interface", "e1", "--group-socket"]);
+        granted.env("NOTIFY_SOCKET", site.file("notify")).env("WATCHDOG_USEC", "1000000");
         granted
     })?;
     let line = daemon.ready()?;
     ensure!(line.contains("; links on Ethernet: on e1; XDP: native on e0, e1; "), "{line}");
     daemon.has_four_capabilities()?;
+    ensure!(notification(&manager)? == "STATUS=starting");
+    let ready = notification(&manager)?;
+    ensure!(ready.starts_with("READY=1\nSTATUS=ready: switch ") && ready.contains("XDP: native on e0, e1"), "{ready}");
+    ensure!(notification(&manager)? == "WATCHDOG=1" && notification(&manager)? == "WATCHDOG=1");
     let neighbour = site.neighbour(&daemon)?;
     site.wait_for_kernel_link(&daemon)?;
     drop(neighbour);
     daemon.stop()?;
+    while notification(&manager)? != "STOPPING=1" {}
 
     let daemon = site.start(site.as_nobody("-all")?)?;
     let (line, log) = (daemon.ready()?, daemon.process.stderr());
@@ -316,6 +324,23 @@ impl Site {
         command.env("GDP_EBPF_OBJECT", self.file("object"));
         Ok(command)
     }
+}
+
+/// Returns the capabilities of the packages' unit in the form that setpriv expects.
+fn capabilities_of_the_unit() -> Result<String> {
+    let unit = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/systemd/gdp-switch.service");
+    let unit = fs::read_to_string(unit)?;
+    let line = unit.lines().find_map(|line| line.strip_prefix("AmbientCapabilities="));
+    let names = line.context("the unit grants no capabilities")?.split(' ');
+    let names = names.map(|name| format!(",+{}", name.trim_start_matches("CAP_").to_lowercase()));
+    Ok(format!("-all{}", names.collect::<String>()))
+}
+
+/// Receives the daemon's next notification in the service manager's place.
+fn notification(manager: &UnixDatagram) -> Result<String> {
+    let mut buffer = [0; 4096];
+    let length = manager.recv(&mut buffer).context("no notification")?;
+    Ok(String::from_utf8_lossy(&buffer[..length]).into_owned())
 }
 
 impl Daemon {

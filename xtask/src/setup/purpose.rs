@@ -23,6 +23,14 @@ pub enum Purpose {
     Eval,
     /// Measure between own machines
     FieldReport,
+    /// Make packages, and check them
+    Package,
+    /// Make packages for an old glibc, and for arm64
+    Release,
+    /// Run unit tests of arm64 on another architecture
+    Arm64,
+    /// Boot the packages in a virtual machine
+    Boot,
     /// Test setup and build on a clean Debian root
     Fresh,
     /// Run `.ci/run`
@@ -66,6 +74,14 @@ pub enum SetupPart {
     Echo,
     /// Run the others.
     Eval,
+    /// Write and check packages.
+    Packages,
+    /// Compile for an old glibc.
+    Zig,
+    /// Run programs of arm64.
+    Qemu,
+    /// Boot a virtual machine.
+    Machine,
     /// Make a clean Debian root.
     Fresh,
 }
@@ -73,8 +89,8 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Python, Ros1, Ros2,
-            Rosbags, Workspace, Zenoh,
+            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces, Packages,
+            Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -88,10 +104,14 @@ impl Purpose {
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
+            Self::Package => &[Workspace, Ebpf, Packages],
+            Self::Release => &[Workspace, Ebpf, Packages, Zig],
+            Self::Arm64 => &[Workspace, Qemu],
+            Self::Boot => &[Workspace, Ebpf, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
                 Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-                Browser, Eval, Fresh,
+                Browser, Eval, Fresh, Packages, Qemu,
             ],
         }
     }

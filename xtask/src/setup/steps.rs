@@ -58,6 +58,9 @@ const NOTHING: SetupStep = SetupStep {
     elsewhere: "",
 };
 
+/// The Python environment of the compiler for an old glibc.
+pub const ZIG_ENVIRONMENT: &str = "venv-package";
+
 /// The Python environment of the evaluation's workloads.
 pub const EVAL_ENVIRONMENT: &str = "venv-eval";
 
@@ -331,6 +334,62 @@ pub const STEPS: &[SetupStep] = &[
         elsewhere: "install debootstrap and util-linux",
         ..NOTHING
     },
+    SetupStep {
+        part: SetupPart::Packages,
+        what: "lintian, systemd and the tools of packages",
+        why: "packages are checked as Debian does, and their units by systemd-analyze",
+        programs: &[
+            Program::AptGet,
+            Program::DpkgDeb,
+            Program::Gzip,
+            Program::Lintian,
+            Program::Md5sum,
+            Program::Readelf,
+            Program::SystemdAnalyze,
+            Program::Tar,
+        ],
+        packages: &["binutils", "coreutils", "dpkg", "gzip", "lintian", "man-db", "systemd", "tar", "xz-utils"],
+        elsewhere: "install dpkg, lintian, binutils, xz and systemd",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Zig,
+        what: "zig and cargo-zigbuild",
+        why: "packages are compiled for glibc 2.31 and for arm64",
+        wheels: &["cargo-zigbuild==0.24.1", "ziglang==0.17.1"],
+        environment: ZIG_ENVIRONMENT,
+        elsewhere: "install Python 3.8 or later",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Zig,
+        what: "Rust's standard library for arm64",
+        why: "packages are made for robots with ARM",
+        present: || has_target("aarch64-unknown-linux-gnu"),
+        commands: &["rustup target add aarch64-unknown-linux-gnu"],
+        elsewhere: "rustup target add aarch64-unknown-linux-gnu",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Qemu,
+        what: "a C compiler for arm64 and qemu for its programs",
+        why: "unit tests run as on a robot with ARM",
+        programs: &[Program::CcArm64, Program::QemuArm64],
+        present: || has_target("aarch64-unknown-linux-gnu"),
+        packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross", "qemu-user-static"],
+        commands: &["rustup target add aarch64-unknown-linux-gnu"],
+        elsewhere: "install a C compiler for aarch64, qemu-user and Rust's target aarch64-unknown-linux-gnu",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Machine,
+        what: "qemu and e2fsprogs",
+        why: "a virtual machine boots the packages with systemd",
+        programs: &[Program::QemuSystem, Program::Mke2fs],
+        packages: &["qemu-system-x86", "e2fsprogs"],
+        elsewhere: "install qemu-system-x86_64 and e2fsprogs",
+        ..NOTHING
+    },
 ];
 
 /// Generates C++ headers of messages in ROS 1.
@@ -370,4 +429,10 @@ fn ros1_present() -> bool {
 fn has_libclang() -> bool {
     let versions = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     versions.filter(|path| path.to_string_lossy().contains("/llvm-")).any(|path| path.join("lib/libclang.so").exists())
+}
+
+/// Returns whether rustc has the standard library of a target.
+fn has_target(target: &str) -> bool {
+    let sysroot = shell::output(Program::Rustc.command().args(["--print", "sysroot"]));
+    sysroot.is_some_and(|sysroot| Path::new(&sysroot).join("lib/rustlib").join(target).join("lib").is_dir())
 }

@@ -55,8 +55,8 @@ impl Drop for Listening {
     }
 }
 
-/// Opens the socket with mode 0600. Replaces the file of a crashed daemon.
-pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError> {
+/// Opens the socket for this process's user, and for its group if `is_for_group`. Replaces the file of a crashed daemon.
+pub fn listen(daemon: &Arc<Daemon>, path: &Path, is_for_group: bool) -> Result<Listening, AdminError> {
     let io = |source| AdminError::Io { path: path.into(), source };
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(io)?;
@@ -67,11 +67,12 @@ pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError
         Ok(_) => std::fs::remove_file(path).map_err(io)?,
         Err(_) => {}
     }
+    let mode = if is_for_group { 0o660 } else { 0o600 };
     // Set the mode before the socket has its public path.
     let fresh = path.with_extension(format!("{}.new", std::process::id()));
     let _ = std::fs::remove_file(&fresh);
     let listener = UnixListener::bind(&fresh).map_err(io)?;
-    std::fs::set_permissions(&fresh, std::fs::Permissions::from_mode(0o600)).map_err(io)?;
+    std::fs::set_permissions(&fresh, std::fs::Permissions::from_mode(mode)).map_err(io)?;
     std::fs::rename(&fresh, path).map_err(io)?;
     daemon.spawn(accept(daemon.clone(), listener));
     Ok(Listening(path.into()))

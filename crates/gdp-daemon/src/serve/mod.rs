@@ -117,7 +117,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     };
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
-    let admin = admin::listen(&daemon, &config.socket)?;
+    let admin = admin::listen(&daemon, &config.socket, config.group_socket)?;
     config.udp.map_or(Ok(()), port_owner::expect_free)?;
     let mut opened = Vec::new();
     for name in &interfaces {
@@ -212,6 +212,12 @@ impl Running {
         self.daemon.core().switch.planes.outlives()
     }
 
+    /// Waits for the next round of the periodic work, twice a second. It uses the state that all
+    /// requests and links use, so a daemon that hangs has no further round. Safe to cancel.
+    pub async fn worked(&self) {
+        self.daemon.worked.notified().await;
+    }
+
     /// Resigns as leader of several replicas of the RIB, so that another replica leads at once.
     pub async fn resign(&self) {
         if let Some(replica) = &self.daemon.replica {
@@ -254,6 +260,7 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
             tracing::info!(entity = %format_args!("{entity:#}"), "an endpoint did not come back");
             daemon.spawn(detach::detach_lost(daemon.clone(), entity));
         }
+        daemon.worked.notify_one();
     }
 }
 

@@ -2,7 +2,7 @@
 //! memberships. The rules are in `gdp-directory`.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
@@ -17,6 +17,7 @@ use gdp_directory::messages::{JoinReply, JoinRequest};
 use gdp_directory::service::JoinService;
 use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
+use gdp_util::service_manager::ServiceManager;
 use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 use tokio::signal::unix::{SignalKind, signal};
@@ -59,15 +60,19 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
-        tokio::select! {
-            ended = serve(home) => ended,
+        let mut manager = ServiceManager::from_environment();
+        manager.status("waiting for the switch");
+        let ended = tokio::select! {
+            ended = serve(home, &mut manager) => ended,
             _ = terminate.recv() => Ok(()),
             _ = interrupt.recv() => Ok(()),
-        }
+        };
+        manager.stopping();
+        ended
     })
 }
 
-async fn serve(home: Home) -> anyhow::Result<()> {
+async fn serve(home: Home, manager: &mut ServiceManager) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
     let files = [files::ENROLLMENTS, files::RENEWALS, files::MEMBERSHIPS, files::DECISIONS];
     let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain([home.revocation_path()]).collect();
@@ -88,6 +93,7 @@ async fn serve(home: Home) -> anyhow::Result<()> {
     let mut running = JoinServer { home, service, publisher, published: Vec::new() };
     running.publish();
     tracing::info!("the join service is ready");
+    manager.ready("answers members");
     let (mut again, mut looks) = (tokio::time::interval(AGAIN), tokio::time::interval(look));
     loop {
         tokio::select! {
@@ -103,7 +109,10 @@ async fn serve(home: Home) -> anyhow::Result<()> {
                 }
             }
             _ = again.tick() => running.publish(),
-            _ = looks.tick() => running.renew(),
+            _ = looks.tick() => {
+                running.renew();
+                manager.alive(Instant::now());
+            }
         }
     }
 }

@@ -1,17 +1,20 @@
 //! `gdp-ctl up`: a domain, a switch with its RIB, the join service and this machine's own proxy. It
-//! asks nothing, makes what is missing, says what it made, and runs everything until ^C.
+//! asks nothing, makes what is missing, says what it made, and starts everything: as services where
+//! the packages are installed, else here until ^C.
 
+use std::env;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use gdp_core::cert::TopicsOf;
 use gdp_core::cert::enrollment::ALL_MEMBERS;
 use gdp_core::domain::Token;
 use gdp_core::secret_file;
+use gdp_util::services::Services;
 use gdp_util::terminal::{self, note};
 use gdp_util::unix_time::unix_seconds;
 use tokio::process::{Child, Command};
@@ -32,6 +35,12 @@ const START: Duration = Duration::from_secs(60);
 
 /// Pause before a program that ended is started again.
 const RESTART: Duration = Duration::from_secs(1);
+
+/// The units of the packages, and the folder that they use.
+const SWITCH_UNIT: &str = "gdp-switch.service";
+const JOIN_UNIT: &str = "gdp-join.service";
+const SERVER_UNIT: &str = "gdp-proxy@home-server.service";
+const HOME_OF_UNITS: &str = "/etc/gdp/home";
 
 const SWITCH: &str = "switch";
 const JOIN_SERVICE: &str = "join service";
@@ -66,6 +75,9 @@ pub struct Options {
     /// Start no proxy here, so that members' topics are not in this machine's ROS graph.
     #[arg(long)]
     no_ros: bool,
+    /// Run everything here until ^C, also where the packages have services for it.
+    #[arg(long)]
+    foreground: bool,
     #[command(flatten)]
     home: HomeOptions,
 }
@@ -76,6 +88,10 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let Options { udp, tls, no_tls, no_xdp, lifetime, .. } = *options;
     let (at, lifetime) = (options.at.as_deref(), lifetime.map(u64::from));
     let made = home.create(&DomainOptions { at, udp, tls, no_tls, no_xdp, lifetime, socket })?;
+    let services = Services::find(SWITCH_UNIT, home.folder(), HOME_OF_UNITS).filter(|_| !options.foreground);
+    if let Some(services) = services {
+        return start_services(&services, &home, options, &made, context);
+    }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
@@ -89,6 +105,30 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         programs.stop().await;
         ended
     })
+}
+
+/// Starts everything as services, now and at each boot.
+fn start_services(
+    services: &Services,
+    home: &Home,
+    options: &Options,
+    made: &Made,
+    context: &Context,
+) -> anyhow::Result<()> {
+    services.start(&[SWITCH_UNIT])?;
+    home.publish_revocation(context)?;
+    services.start(&[JOIN_UNIT])?;
+    let mut units = vec![SWITCH_UNIT, JOIN_UNIT];
+    let launcher = Launcher { home, own: env::current_exe().context("where this program is")?, socket: None };
+    if !options.no_ros && launcher.has_proxy() {
+        if !home.server_config().exists() {
+            let status = launcher.join(context)?.arg("--no-run").status().context("cannot start gdp-proxy")?;
+            ensure!(status.success(), "this machine's proxy did not join: {status}");
+        }
+        services.start(&[SERVER_UNIT])?;
+        units.push(SERVER_UNIT);
+    }
+    tell(home, made, units.contains(&SERVER_UNIT), Some(&units))
 }
 
 /// The programs that run, by their labels.
@@ -109,7 +149,7 @@ impl Programs {
         if context.client().is_ok() {
             bail!("a daemon answers on the admin socket already: stop it, or choose another socket with --socket");
         }
-        let own = std::env::current_exe().context("where this program is")?;
+        let own = env::current_exe().context("where this program is")?;
         let site = Launcher { home, own, socket: context.socket.as_deref() };
         self.start(SWITCH, site.switch())?;
         tokio::select! {
@@ -123,7 +163,7 @@ impl Programs {
         if has_proxy {
             self.start_proxy(&site, context)?;
         }
-        tell(home, made, has_proxy)?;
+        tell(home, made, has_proxy, None)?;
         loop {
             let (label, status) = self.ended().await;
             if label == SWITCH {
@@ -146,10 +186,7 @@ impl Programs {
             command.arg("--config").arg(&config);
             return self.start(PROXY, command);
         }
-        let mut command = site.proxy();
-        command.args(["join", "--dir"]).arg(site.home.path(SERVER)).arg("--file");
-        command.arg(site.home.server_invitation(context)?).stdout(Stdio::null());
-        self.start(PROXY, command)
+        self.start(PROXY, site.join(context)?.into())
     }
 
     fn start(&mut self, label: &'static str, mut command: Command) -> anyhow::Result<()> {
@@ -197,6 +234,14 @@ impl Launcher<'_> {
 
     fn proxy(&self) -> Command {
         gdp_util::processes::command(&self.own.with_file_name("gdp-proxy")).into()
+    }
+
+    /// Returns the command with which this machine's own proxy joins, and then runs.
+    fn join(&self, context: &Context) -> anyhow::Result<std::process::Command> {
+        let mut command = gdp_util::processes::command(&self.own.with_file_name("gdp-proxy"));
+        command.args(["join", "--dir"]).arg(self.home.path(SERVER)).arg("--file");
+        command.arg(self.home.server_invitation(context)?).stdout(Stdio::null());
+        Ok(command)
     }
 
     /// Returns whether gdp-proxy is beside this program; says so if it is not.
@@ -256,7 +301,7 @@ async fn answers(context: &Context) {
 }
 
 /// Says what was made, what is open, and what comes next.
-fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
+fn tell(home: &Home, made: &Made, has_proxy: bool, units: Option<&[&str]>) -> anyhow::Result<()> {
     let (folder, address) = (home.folder().display(), home.address()?);
     let members = members::stored(home)?.rows(unix_seconds());
     let members = members.iter().filter(|row| row.enrollment.label != SERVER).count();
@@ -268,13 +313,14 @@ fn tell(home: &Home, made: &Made, has_proxy: bool) -> anyhow::Result<()> {
     };
     let tls = address.tls.map_or(String::new(), |tls| format!(", TCP {tls} for TLS"));
     let over_tls = address.tls_targets()?.first().map_or(String::new(), |target| format!(", else {target}"));
-    terminal::print([
+    let services = units.map(|units| format!("Services  {}: started, now and at each boot", units.join(", ")));
+    let lines = [
         format!("Domain    {:#}, {state}, with {members} members", made.domain),
         format!("Keys      {folder}/domain.pem, and successor.pem if that is lost: move it elsewhere"),
         format!("Switch    {:#} with the RIB; UDP {} is open{tls} ({xdp})", made.switch, address.udp),
         format!("Members   dial {}{over_tls}; another address: --at HOST", address.at),
         format!("ROS       {ros}"),
-        "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned(),
-    ])
-    .context("cannot write to stdout")
+    ];
+    let next = "Next      gdp-ctl invite robot7 --expose '/chatter,/camera/**'".to_owned();
+    terminal::print(lines.into_iter().chain(services).chain([next])).context("cannot write to stdout")
 }

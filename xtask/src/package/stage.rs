@@ -1,0 +1,106 @@
+//! Lays out the files of each package.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use gdp_tests::netns::execute;
+use gdp_tests::programs::{Executable as _, Program};
+
+use super::compile::Executables;
+use super::{Arch, Build, changelog, folder, manuals};
+use crate::workspace;
+
+/// A package, with the files that it installs.
+pub struct Staged {
+    pub arch: Arch,
+    pub version: String,
+    pub is_quick: bool,
+    pub packages: Vec<Package>,
+}
+
+/// The files of one package.
+pub struct Package {
+    pub name: &'static str,
+    pub tree: PathBuf,
+}
+
+impl Staged {
+    pub fn tree(&self, name: &str) -> Result<&Path> {
+        let found = self.packages.iter().find(|package| package.name == name);
+        Ok(&found.with_context(|| format!("no package {name}"))?.tree)
+    }
+}
+
+const SWITCH_UNITS: [&str; 2] = ["gdp-switch.service", "gdp-join.service"];
+const PROXY_UNITS: [&str; 2] = ["gdp-proxy.service", "gdp-proxy@.service"];
+
+pub fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
+    let above = folder().join(build.arch.debian());
+    if above.exists() {
+        fs::remove_dir_all(&above).with_context(|| format!("cannot remove {}", above.display()))?;
+    }
+    let mut packages = Vec::new();
+    for name in ["gdp-cli", "gdp-switch", "gdp-proxy"] {
+        let tree = above.join(name);
+        let documents = tree.join("usr/share/doc").join(name);
+        fs::create_dir_all(&documents)?;
+        fs::copy(packaging("debian/copyright"), documents.join("copyright"))?;
+        changelog::write(&build.version, &documents.join("changelog.Debian"))?;
+        execute(Program::Gzip.command().arg("-9n").arg(documents.join("changelog.Debian")))?;
+        packages.push(Package { name, tree });
+    }
+    let [cli, switch, proxy] = [0, 1, 2].map(|at: usize| packages[at].tree.clone());
+    executable(&executables.ctl, &cli.join("usr/bin/gdp-ctl"), build)?;
+    executable(&executables.proxy, &proxy.join("usr/bin/gdp-proxy"), build)?;
+    // The other architecture's pages are the same.
+    manuals::write("gdp-ctl", &runnable("gdp-ctl", &executables.ctl, build)?, &cli)?;
+    manuals::write("gdp-proxy", &runnable("gdp-proxy", &executables.proxy, build)?, &proxy)?;
+    copy_all(&SWITCH_UNITS, "systemd", &switch.join("usr/lib/systemd/system"))?;
+    copy_all(&PROXY_UNITS, "systemd", &proxy.join("usr/lib/systemd/system"))?;
+    copy_all(&["gdp.conf"], "sysusers.d", &cli.join("usr/lib/sysusers.d"))?;
+    copy_all(&["gdp.conf"], "tmpfiles.d", &cli.join("usr/lib/tmpfiles.d"))?;
+    copy_all(&["gdp-switch"], "default", &switch.join("etc/default"))?;
+    copy_all(&["gdp-proxy"], "default", &proxy.join("etc/default"))?;
+    Ok(Staged { arch: build.arch, version: build.version.clone(), is_quick: build.checked, packages })
+}
+
+/// Returns the path of a file of the folder `packaging`.
+pub fn packaging(file: &str) -> PathBuf {
+    workspace::root().join("packaging").join(file)
+}
+
+fn copy_all(names: &[&str], from: &str, to: &Path) -> Result<()> {
+    fs::create_dir_all(to)?;
+    names.iter().try_for_each(|name| {
+        let source = packaging(from).join(name);
+        fs::copy(&source, to.join(name)).with_context(|| format!("cannot copy {}", source.display()))?;
+        Ok(fs::set_permissions(to.join(name), Permissions::from_mode(0o644))?)
+    })
+}
+
+/// Copies an executable without its symbols.
+fn executable(from: &Path, to: &Path, build: &Build) -> Result<()> {
+    fs::create_dir_all(to.parent().context("a folder")?)?;
+    fs::copy(from, to).with_context(|| format!("cannot copy {}", from.display()))?;
+    fs::set_permissions(to, Permissions::from_mode(0o755))?;
+    if build.arch.is_native() {
+        execute(Program::Objcopy.command().arg("--strip-all").arg(to))?;
+    }
+    Ok(())
+}
+
+/// Returns an executable of the same source that this machine runs.
+fn runnable(name: &str, built: &Path, build: &Build) -> Result<PathBuf> {
+    if build.arch.is_native() {
+        return Ok(built.to_owned());
+    }
+    let target = workspace::target();
+    let folders = [target.join("x86_64-unknown-linux-gnu/dist"), target.join("x86_64-unknown-linux-gnu/release")];
+    let all = folders.into_iter().chain(["dist", "release", "checked"].map(|profile| target.join(profile)));
+    let newest = all.map(|folder| folder.join(name)).filter(|file| file.is_file());
+    newest
+        .max_by_key(|file| file.metadata().and_then(|metadata| metadata.modified()).ok())
+        .with_context(|| format!("no {name} for this machine writes the manual pages: make its own packages first"))
+}

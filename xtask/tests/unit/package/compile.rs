@@ -1,0 +1,25 @@
+//! Unit tests of `package::compile`.
+
+use super::*;
+
+#[test]
+fn the_newest_version_counts_as_numbers_not_as_text() {
+    let listed = "\
+     1: 0000000000000000     0 FUNC    GLOBAL DEFAULT  UND memcpy@GLIBC_2.14 (2)\n\
+     2: 0000000000000000     0 FUNC    GLOBAL DEFAULT  UND read@GLIBC_2.2.5 (3)\n\
+     3: 0000000000000000     0 FUNC    WEAK   DEFAULT  UND gettid@GLIBC_2.30 (4)\n\
+     4: 0000000000000000     0 FUNC    GLOBAL DEFAULT  UND _Unwind_Resume@GCC_3.0 (5)\n";
+    assert_eq!(newest_glibc(listed), Some(((2, 30), "gettid")));
+    assert_eq!(newest_glibc("main@GCC_3.0"), None);
+}
+
+#[test]
+fn an_executable_that_needs_a_newer_glibc_is_refused() {
+    // This test is linked with the machine's own glibc, whose start needs 2.34.
+    let own = std::env::current_exe().unwrap();
+    let needs =
+        newest_glibc(&shell::output(Program::Readelf.command().args(["--wide", "--dyn-syms"]).arg(&own)).unwrap())
+            .map(|(version, _)| version);
+    assert_eq!(check_glibc(&own).is_err(), needs.is_some_and(|version| version > GLIBC), "{needs:?}");
+    assert!(check_glibc(Path::new("/etc/hostname")).is_err());
+}
