@@ -19,7 +19,8 @@ async fn programs_in_rust_and_python_talk_to_a_listener_of_ros() {
     let (in_rust, in_python, proxy) = (site.keyring("rust"), site.keyring("python"), site.keyring("proxy"));
     site.allow(&site.card("topic", "/chatter", "std_msgs/msg/String"), &[&in_rust, &in_python], &[&proxy]);
     let domain = lease();
-    let _proxy = site.proxy(&proxy, domain, "{topic: /chatter, card: chatter.card, grant: chatter.grant, direction: in}");
+    let _proxy =
+        site.proxy(&proxy, domain, "{topic: /chatter, card: chatter.card, grant: chatter.grant, direction: in}");
     let mut listener = Program::start(site.node(domain, "listen"));
 
     let talker = Program::start(site.sdk(own(example("ros_talker")), &in_rust));

@@ -79,17 +79,15 @@ impl Purpose {
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
             Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
-            Self::Test => &[
-                Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-            ],
+            Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
-                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python, Eval,
-                Fresh,
+                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
+                Eval, Fresh,
             ],
         }
     }
