@@ -146,7 +146,7 @@ pub struct RouteStats {
     pub name: Name,
     #[serde(flatten)]
     pub counted: Counted,
-    /// `gdp::unstable::PublisherCounters` for `out`, `gdp::unstable::SubscriptionCounters` for `in`, with the drops by
+    /// `PublisherCounters` for `out`, `SubscriptionCounters` for `in`, with the drops by
     /// reason. Null before the route is up for the first time.
     pub fabric: FabricStats,
 }

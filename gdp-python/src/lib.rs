@@ -6,6 +6,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod calls;
+mod convert;
 mod errors;
 mod ros;
 mod session;

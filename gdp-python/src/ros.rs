@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
+use crate::convert::seconds;
 use crate::errors::{raised, ros_raised};
-use crate::session::seconds;
 
 /// Publishes ROS messages.
 #[pyclass(frozen, name = "RosPublisher", module = "gdp._gdp")]

@@ -1,16 +1,15 @@
 //! Sessions.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
-use gdp::{Config, Encoding, Keyring, Session};
+use gdp::{Config, Keyring, Session};
 use gdp_ros::sdk::RosSession as _;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
 use crate::calls::{NativeClient, NativeServer};
+use crate::convert::{parse_encoding, seconds};
 use crate::errors::{raised, ros_raised};
 use crate::ros::{NativeRosPublisher, NativeRosSubscriber};
 use crate::topics::{NativePublisher, NativeSubscriber};
@@ -120,35 +119,5 @@ impl NativeSession {
 
     fn __repr__(&self) -> String {
         format!("{:?}", self.0)
-    }
-}
-
-/// Returns a span of time. Python has seconds in floating point.
-pub fn seconds(seconds: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(seconds).map_err(|error| PyValueError::new_err(format!("{seconds} s: {error}")))
-}
-
-/// Parses the name of an encoding.
-fn parse_encoding(text: &str) -> PyResult<Encoding> {
-    match text {
-        "bytes" => Ok(Encoding::Bytes),
-        "json" => Ok(Encoding::Json),
-        "cdr" => Ok(Encoding::Cdr),
-        "ros1" => Ok(Encoding::Ros1),
-        other => other
-            .parse()
-            .map(Encoding::Other)
-            .map_err(|_| PyValueError::new_err(format!("{other:?} is not bytes, json, cdr, ros1 or a number"))),
-    }
-}
-
-/// Returns the name of an encoding.
-pub fn encoding_name(encoding: Encoding) -> String {
-    match encoding {
-        Encoding::Bytes => "bytes".into(),
-        Encoding::Json => "json".into(),
-        Encoding::Cdr => "cdr".into(),
-        Encoding::Ros1 => "ros1".into(),
-        Encoding::Other(number) => number.to_string(),
     }
 }

@@ -4,14 +4,15 @@ use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
 use gdp::{Publisher, Sample, Subscriber};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::pybacked::{PyBackedBytes, PyBackedStr};
 use pyo3::types::PyBytes;
 use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
+use crate::convert::{encoding_name, seconds};
 use crate::errors::raised;
-use crate::session::{encoding_name, seconds};
 
 /// The content of a message: bytes, or a text that is sent as UTF-8.
 #[derive(FromPyObject)]
@@ -138,7 +139,7 @@ impl NativeSample {
     }
 
     fn text(&self) -> PyResult<&str> {
-        Ok(self.0.text()?)
+        self.0.text().map_err(|error| PyValueError::new_err(error.to_string()))
     }
 
     fn __repr__(&self) -> String {

@@ -31,7 +31,7 @@ pub enum KeyringError {
     },
     /// Neither the environment nor the user's home says where the folder is.
     #[error("no place for a keyring: say where it is with GDP_KEYRING or --keyring, or set HOME")]
-    NoPlace,
+    Unset,
     /// The configuration that `join` wrote names no link to a switch.
     #[error("{}: no link to the switch: {reason}; give one with GDP_SWITCH or --switch", path.display())]
     Links {
@@ -57,7 +57,7 @@ pub enum FindError {
         folder: PathBuf,
     },
     /// Several names match.
-    #[error("{what} is the {kind} of several names: {}; give the name itself, or its first digits", Names(names))]
+    #[error("{what} is the {kind} of several names: {}; give the name itself, or its first digits", NameList(names))]
     Ambiguous {
         /// What was searched for.
         what: String,
@@ -115,9 +115,9 @@ pub struct MissingRight {
     pub(super) folder: PathBuf,
 }
 
-struct Names<'a>(&'a [Name]);
+struct NameList<'a>(&'a [Name]);
 
-impl fmt::Display for Names<'_> {
+impl fmt::Display for NameList<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))
     }

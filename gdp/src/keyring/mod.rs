@@ -69,7 +69,7 @@ impl Keyring {
         let own = folders::keyring();
         let has_key = own.as_ref().is_some_and(|folder| folder.join(OWN_KEY).exists());
         let joined = folders::configuration().filter(|folder| !has_key && Self::is_joined(folder));
-        joined.or(own).ok_or(KeyringError::NoPlace)
+        joined.or(own).ok_or(KeyringError::Unset)
     }
 
     /// Returns the file of the entity's private key in a folder.

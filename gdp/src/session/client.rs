@@ -11,7 +11,9 @@ use gdp_e2e::seal::Encoding;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
-use super::{Error, Sample, Session};
+use super::attached::Attached;
+use super::error::Error;
+use super::sample::Sample;
 use crate::node;
 
 /// Time for a server to attach and to reply, if the program sets none.
@@ -21,14 +23,14 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Clone, Debug)]
 #[must_use = "await it"]
 pub struct ClientBuilder {
-    session: Session,
+    session: Arc<Attached>,
     service: String,
     encoding: Encoding,
     timeout: Duration,
 }
 
 impl ClientBuilder {
-    pub(super) fn new(session: Session, service: String) -> Self {
+    pub(super) fn new(session: Arc<Attached>, service: String) -> Self {
         Self { session, service, encoding: Encoding::Bytes, timeout: TIMEOUT }
     }
 
@@ -48,7 +50,7 @@ impl ClientBuilder {
         let Self { session, service, encoding, timeout } = self;
         let card = session.find(&service, "service").await?;
         let grant = session.keyring(|keyring| keyring.grant(&card, session.name(), unix_seconds()))?;
-        let node = session.node().client(card.proof(), grant).await?.into();
+        let node = session.node.client(card.proof(), grant).await?.into();
         Ok(Client { node, card, service: service.into(), encoding, timeout })
     }
 }

@@ -37,9 +37,10 @@ impl Config {
         Self { keyring: keyring.into(), key: None, switches: Vec::new(), state: None, timeout }
     }
 
-    /// Returns the configuration that `gdp-ctl topic` uses as well. `GDP_KEYRING` names the keyring.
-    /// Without it, the keyring is `~/.config/gdp`, or `/etc/gdp` if root has joined a domain.
-    /// `GDP_SWITCH` names the switch, for example `udp://203.0.113.7:31415`.
+    /// Returns the configuration that `gdp-ctl topic` uses as well.
+    ///
+    /// `GDP_KEYRING` names the keyring. Without it, that is `~/.config/gdp`, or `/etc/gdp` if root
+    /// has joined a domain. `GDP_SWITCH` names the switch, for example `udp://203.0.113.7:31415`.
     ///
     /// # Errors
     ///

@@ -3,10 +3,12 @@
 //! The session owns the node, and a task that presents renewed credentials. Handles keep the node
 //! attached. Nothing in here knows links, frames or statements: that is the node's.
 
+mod attached;
 mod client;
 mod config;
 mod error;
 mod publisher;
+mod publisher_handle;
 mod sample;
 mod server;
 mod subscriber;
@@ -19,10 +21,8 @@ use gdp_core::card::NameCard;
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_wire::Name;
 use parking_lot::Mutex;
-use tokio::task::AbortHandle;
 
-use self::publisher::PublisherHandle;
-use crate::keyring::{FindError, Keyring, members};
+use self::attached::Attached;
 use crate::node::Node;
 
 pub use self::client::{Client, ClientBuilder};
@@ -54,54 +54,36 @@ pub async fn open(config: Config) -> Result<Session, Error> {
         tokio::spawn(async move { node.follow_credentials(&files, watched).await }).abort_handle()
     });
     let (keyring, publishers) = (Mutex::new(keyring), Mutex::new(Vec::new()));
-    Ok(Session(Arc::new(SessionState { node, keyring, publishers, following })))
+    Ok(Session(Arc::new(Attached { node, keyring, publishers, following })))
 }
 
 /// An entity that is attached to a switch. Clones are the same session. It detaches when the last
 /// clone and the last of its handles are dropped, or with [`Self::close`].
 #[derive(Clone)]
-pub struct Session(Arc<SessionState>);
-
-struct SessionState {
-    node: Node,
-    keyring: Mutex<Keyring>,
-    /// Those that [`Session::close`] flushes.
-    publishers: Mutex<Vec<Weak<PublisherHandle>>>,
-    /// Presents renewed credentials of the domain.
-    following: Option<AbortHandle>,
-}
-
-impl Drop for SessionState {
-    fn drop(&mut self) {
-        // The task has a clone of the node.
-        if let Some(following) = &self.following {
-            following.abort();
-        }
-    }
-}
+pub struct Session(Arc<Attached>);
 
 impl Session {
     /// Publishes a topic. `topic` is a ROS name of the keyring's cards, a card's file, a name of 64
     /// hex digits, or its first digits. Await the builder.
     pub fn publisher(&self, topic: impl Into<String>) -> PublisherBuilder {
-        PublisherBuilder::new(self.clone(), topic.into())
+        PublisherBuilder::new(self.0.clone(), topic.into())
     }
 
     /// Reads a topic: one of the keyring as for [`Self::publisher`], or `/LABEL/TOPIC` of another
     /// member of the domain. Await the builder.
     pub fn subscriber(&self, topic: impl Into<String>) -> SubscriberBuilder {
-        SubscriberBuilder::new(self.clone(), topic.into())
+        SubscriberBuilder::new(self.0.clone(), topic.into())
     }
 
     /// Calls a service, named as a topic is for [`Self::subscriber`]. Await the builder.
     pub fn client(&self, service: impl Into<String>) -> ClientBuilder {
-        ClientBuilder::new(self.clone(), service.into())
+        ClientBuilder::new(self.0.clone(), service.into())
     }
 
     /// Serves calls, as one of the servers of a service. Named as a topic is for
     /// [`Self::publisher`]. Await the builder.
     pub fn server(&self, service: impl Into<String>) -> ServerBuilder {
-        ServerBuilder::new(self.clone(), service.into())
+        ServerBuilder::new(self.0.clone(), service.into())
     }
 
     /// Returns this entity's name, for which owners issue certificates.
@@ -127,15 +109,7 @@ impl Session {
     ///
     /// Fails if neither the keyring nor the directory of the domain has it.
     pub async fn find(&self, name: &str, kind: &str) -> Result<NameCard, Error> {
-        let keyring = self.0.keyring.lock().clone();
-        match keyring.find(name, kind) {
-            Err(FindError::Unknown { .. }) if keyring.has_directory() => {
-                let shared = members::find(&self.0.node, &keyring, name, kind).await?;
-                self.0.keyring.lock().add(&shared.card, shared.grant);
-                Ok(shared.card)
-            }
-            found => Ok(found?),
-        }
+        self.0.find(name, kind).await
     }
 
     /// Waits until the readers of every reliable publisher have acknowledged all messages, for at
@@ -156,20 +130,10 @@ impl Session {
     pub fn node(&self) -> &Node {
         &self.0.node
     }
-
-    fn keyring<T>(&self, with: impl FnOnce(&Keyring) -> T) -> T {
-        with(&self.0.keyring.lock())
-    }
-
-    fn remember(&self, publisher: &Arc<PublisherHandle>) {
-        let mut publishers = self.0.publishers.lock();
-        publishers.retain(|publisher| publisher.strong_count() > 0);
-        publishers.push(Arc::downgrade(publisher));
-    }
 }
 
 impl fmt::Debug for Session {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Session").field("name", &self.name()).field("switch", &self.0.node.switch().ok()).finish()
+        self.0.fmt(f)
     }
 }

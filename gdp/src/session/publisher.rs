@@ -11,9 +11,11 @@ use gdp_e2e::seal::{Draft, Encoding};
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
-use super::{Error, Session};
+use super::attached::Attached;
+use super::error::Error;
+use super::publisher_handle::PublisherHandle;
 use crate::node;
-use crate::node::{NodeError, PublishOptions};
+use crate::node::PublishOptions;
 
 /// Interval of the checks for readers.
 const LOOK: Duration = Duration::from_millis(20);
@@ -22,14 +24,14 @@ const LOOK: Duration = Duration::from_millis(20);
 #[derive(Clone, Debug)]
 #[must_use = "await it"]
 pub struct PublisherBuilder {
-    session: Session,
+    session: Arc<Attached>,
     topic: String,
     encoding: Encoding,
     options: PublishOptions,
 }
 
 impl PublisherBuilder {
-    pub(super) fn new(session: Session, topic: String) -> Self {
+    pub(super) fn new(session: Arc<Attached>, topic: String) -> Self {
         Self { session, topic, encoding: Encoding::Bytes, options: PublishOptions::best_effort() }
     }
 
@@ -75,7 +77,7 @@ impl PublisherBuilder {
         let Self { session, topic, encoding, options } = self;
         let card = session.find(&topic, "topic").await?;
         let ad = session.keyring(|keyring| keyring.ad(&card, session.name(), unix_seconds()))?;
-        let node = session.node().publish(card.proof(), ad, options).await?;
+        let node = session.node.publish(card.proof(), ad, options).await?;
         let shared = Arc::new(PublisherHandle { node, card, topic });
         session.remember(&shared);
         Ok(Publisher { shared, encoding })
@@ -97,13 +99,6 @@ impl IntoFuture for PublisherBuilder {
 pub struct Publisher {
     shared: Arc<PublisherHandle>,
     encoding: Encoding,
-}
-
-/// The handle of the node, which all clones of a publisher share.
-pub(super) struct PublisherHandle {
-    node: node::Publisher,
-    card: NameCard,
-    topic: String,
 }
 
 impl Publisher {
@@ -169,15 +164,6 @@ impl Publisher {
     #[doc(hidden)]
     pub fn node(&self) -> &node::Publisher {
         &self.shared.node
-    }
-}
-
-impl PublisherHandle {
-    pub(super) async fn flush(&self, timeout: Duration) -> Result<(), Error> {
-        self.node.flush_shared(timeout).await.map_err(|error| match error {
-            NodeError::Unflushed(source) => Error::Unflushed { name: self.topic.clone(), source },
-            other => other.into(),
-        })
     }
 }
 

@@ -11,7 +11,8 @@ use gdp_e2e::seal::Encoding;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
-use super::{Error, Session};
+use super::attached::Attached;
+use super::error::Error;
 use crate::node;
 use crate::node::{Call, Ended};
 
@@ -19,13 +20,13 @@ use crate::node::{Call, Ended};
 #[derive(Clone, Debug)]
 #[must_use = "await it"]
 pub struct ServerBuilder {
-    session: Session,
+    session: Arc<Attached>,
     service: String,
     encoding: Encoding,
 }
 
 impl ServerBuilder {
-    pub(super) fn new(session: Session, service: String) -> Self {
+    pub(super) fn new(session: Arc<Attached>, service: String) -> Self {
         Self { session, service, encoding: Encoding::Bytes }
     }
 
@@ -39,7 +40,7 @@ impl ServerBuilder {
         let Self { session, service, encoding } = self;
         let card = session.find(&service, "service").await?;
         let ad = session.keyring(|keyring| keyring.ad(&card, session.name(), unix_seconds()))?;
-        let node = session.node().serve(card.proof(), ad).await?;
+        let node = session.node.serve(card.proof(), ad).await?;
         Ok(Server { node, card, service: service.into(), encoding })
     }
 }

@@ -13,7 +13,9 @@ use gdp_e2e::seal::{Encoding, Message};
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
-use super::{Error, Sample, Session};
+use super::attached::Attached;
+use super::error::Error;
+use super::sample::Sample;
 use crate::node::{Ended, SubscribeOptions, Subscription, Wants};
 
 /// A subscriber before it is attached: await it. By default it receives every message of reliable
@@ -21,13 +23,13 @@ use crate::node::{Ended, SubscribeOptions, Subscription, Wants};
 #[derive(Clone, Debug)]
 #[must_use = "await it"]
 pub struct SubscriberBuilder {
-    session: Session,
+    session: Arc<Attached>,
     topic: String,
     options: SubscribeOptions,
 }
 
 impl SubscriberBuilder {
-    pub(super) fn new(session: Session, topic: String) -> Self {
+    pub(super) fn new(session: Arc<Attached>, topic: String) -> Self {
         Self { session, topic, options: SubscribeOptions::as_offered() }
     }
 
@@ -56,7 +58,7 @@ impl SubscriberBuilder {
         let Self { session, topic, options } = self;
         let card = session.find(&topic, "topic").await?;
         let grant = session.keyring(|keyring| keyring.grant(&card, session.name(), unix_seconds()))?;
-        Ok((session.node().subscribe(card.proof(), grant, options).await?, card))
+        Ok((session.node.subscribe(card.proof(), grant, options).await?, card))
     }
 }
 

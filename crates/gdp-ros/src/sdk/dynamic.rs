@@ -10,9 +10,10 @@ use gdp::Publisher;
 use gdp_wire::Name;
 use serde_json::Value;
 
-use super::publisher::Announced;
+use super::context::RosContext;
+use super::error::RosSdkError;
+use super::source::RosSource;
 use super::subscriber::next;
-use super::{Ros, RosSdkError};
 use crate::encoder::Encoder;
 use crate::feed::{Decoder, Feed};
 use crate::roster::Offer;
@@ -23,14 +24,14 @@ use crate::user_input::UserInput;
 #[derive(Clone, Debug)]
 #[must_use = "await it"]
 pub struct DynamicPublisherBuilder {
-    ros: Ros,
+    ros: RosContext,
     topic: String,
     type_name: String,
     offer: Offer,
 }
 
 impl DynamicPublisherBuilder {
-    pub(super) fn new(ros: Ros, topic: String, type_name: String) -> Self {
+    pub(super) fn new(ros: RosContext, topic: String, type_name: String) -> Self {
         Self { ros, topic, type_name, offer: Offer::DEFAULT }
     }
 
@@ -55,7 +56,7 @@ impl DynamicPublisherBuilder {
     async fn attach(self) -> Result<DynamicPublisher, RosSdkError> {
         let encoder = Encoder::new(&self.ros.types()?, &self.type_name)?;
         let kind = encoder.kind().clone();
-        let source = Announced::attach(&self.ros, self.topic, kind, encoder.schema(), self.offer).await?;
+        let source = RosSource::attach(&self.ros, self.topic, kind, encoder.schema(), self.offer).await?;
         Ok(DynamicPublisher { source, encoder: encoder.into() })
     }
 }
@@ -72,7 +73,7 @@ impl IntoFuture for DynamicPublisherBuilder {
 /// Publishes ROS messages of a type that the program names. Clones are the same publisher.
 #[derive(Clone)]
 pub struct DynamicPublisher {
-    source: Arc<Announced>,
+    source: Arc<RosSource>,
     encoder: Arc<Encoder>,
 }
 
@@ -140,7 +141,7 @@ pub struct DynamicSubscriber {
 }
 
 impl DynamicSubscriber {
-    pub(super) async fn attach(ros: &Ros, topic: String) -> Result<Self, RosSdkError> {
+    pub(super) async fn attach(ros: &RosContext, topic: String) -> Result<Self, RosSdkError> {
         let decoder = Decoder::new(ros.types()?);
         let (subscription, card) = ros.session.subscriber(topic.as_str()).subscribe().await?;
         Ok(Self { feed: Feed::new(subscription, &card), decoder, topic })

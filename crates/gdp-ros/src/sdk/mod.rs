@@ -19,9 +19,11 @@
 //! A proxy at the other end makes a ROS publisher of a [`RosPublisher`], with its type, definition
 //! and QoS, as if it were a node of ROS. No ROS is needed here.
 
+mod context;
 mod dynamic;
 mod error;
 mod publisher;
+mod source;
 mod subscriber;
 mod types;
 
@@ -29,8 +31,7 @@ use std::path::PathBuf;
 
 use gdp::Session;
 
-use crate::roster::Dialect;
-use crate::types::Types;
+use self::context::RosContext;
 
 pub use self::dynamic::{DynamicMessage, DynamicPublisher, DynamicPublisherBuilder, DynamicSubscriber};
 pub use self::error::RosSdkError;
@@ -46,29 +47,26 @@ pub trait RosSession {
 
 impl RosSession for Session {
     fn ros(&self) -> Ros {
-        Ros { session: self.clone(), definitions: Vec::new() }
+        Ros(RosContext { session: self.clone(), definitions: Vec::new() })
     }
 }
 
 /// A session for ROS messages. It knows the common interfaces of ROS 2, and learns others from
 /// their publishers.
 #[derive(Clone, Debug)]
-pub struct Ros {
-    session: Session,
-    definitions: Vec<PathBuf>,
-}
+pub struct Ros(RosContext);
 
 impl Ros {
     /// Also reads the definitions in a share folder of ROS 2, such as `/opt/ros/jazzy/share`, for
     /// types beyond the common interfaces.
     pub fn definitions(mut self, share: impl Into<PathBuf>) -> Self {
-        self.definitions.push(share.into());
+        self.0.definitions.push(share.into());
         self
     }
 
     /// Publishes a topic with messages of `T`. Await the builder.
     pub fn publisher<T: RosMessage>(&self, topic: impl Into<String>) -> RosPublisherBuilder<T> {
-        RosPublisherBuilder::new(self.clone(), topic.into())
+        RosPublisherBuilder::new(self.0.clone(), topic.into())
     }
 
     /// Reads a topic whose messages are of `T`, from publishers of ROS 2 or ROS 1.
@@ -77,13 +75,13 @@ impl Ros {
     ///
     /// Fails if the keyring has no such topic, or no right to read it.
     pub async fn subscriber<T: RosMessage>(&self, topic: impl Into<String>) -> Result<RosSubscriber<T>, RosSdkError> {
-        RosSubscriber::attach(self, topic.into()).await
+        RosSubscriber::attach(&self.0, topic.into()).await
     }
 
     /// Publishes a topic with messages of a type that the program names, such as
     /// `std_msgs/msg/String`, from JSON values. Await the builder.
     pub fn dynamic_publisher(&self, topic: impl Into<String>, type_name: impl Into<String>) -> DynamicPublisherBuilder {
-        DynamicPublisherBuilder::new(self.clone(), topic.into(), type_name.into())
+        DynamicPublisherBuilder::new(self.0.clone(), topic.into(), type_name.into())
     }
 
     /// Reads a topic of any type, as JSON values. Publishers say what their types are.
@@ -92,10 +90,6 @@ impl Ros {
     ///
     /// Fails if the keyring has no such topic, or no right to read it.
     pub async fn dynamic_subscriber(&self, topic: impl Into<String>) -> Result<DynamicSubscriber, RosSdkError> {
-        DynamicSubscriber::attach(self, topic.into()).await
-    }
-
-    fn types(&self) -> Result<Types, RosSdkError> {
-        Ok(Types::load(self.definitions.iter().map(|folder| (Dialect::Ros2, folder.as_path())))?)
+        DynamicSubscriber::attach(&self.0, topic.into()).await
     }
 }

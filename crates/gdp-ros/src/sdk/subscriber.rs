@@ -8,8 +8,9 @@ use std::time::{Duration, SystemTime};
 use gdp_msg::{Encoding, TypeName};
 use gdp_wire::Name;
 
+use super::context::RosContext;
+use super::error::RosSdkError;
 use super::types::{self, RosMessage};
-use super::{Ros, RosSdkError};
 use crate::feed::{Feed, ReceivedMessage};
 use crate::roster::{Dialect, Kind};
 use crate::types::{Converter, Form, Types, unsealed};
@@ -42,7 +43,7 @@ pub struct RosSubscriber<T> {
 }
 
 impl<T: RosMessage> RosSubscriber<T> {
-    pub(super) async fn attach(ros: &Ros, topic: String) -> Result<Self, RosSdkError> {
+    pub(super) async fn attach(ros: &RosContext, topic: String) -> Result<Self, RosSdkError> {
         let types = ros.types()?;
         let (own, schema) = types::kind::<T>(&types)?;
         let (subscription, card) = ros.session.subscriber(topic.as_str()).subscribe().await?;

@@ -7,8 +7,8 @@ use gdp_msg::{Schema, TypeName};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::RosSdkError;
-use super::publisher::kind_of;
+use super::error::RosSdkError;
+use crate::encoder::type_hash;
 use crate::roster::{Dialect, Kind};
 use crate::types::Types;
 
@@ -41,7 +41,7 @@ pub(super) fn kind<T: RosMessage>(types: &Types) -> Result<(Kind, Arc<Schema>), 
     let unknown = Kind { dialect: Dialect::Ros2, name: name.to_string(), hash: vec![] };
     let schema = types.schema(&unknown, T::DEFINITION);
     let schema = schema.map_err(|error| RosSdkError::Type(T::TYPE.into(), Box::new(error)))?;
-    Ok((kind_of(&name, &schema), schema))
+    Ok((Kind { hash: type_hash(&schema), ..unknown }, schema))
 }
 
 /// Encodes a message in little-endian CDR, with its header.
