@@ -72,7 +72,7 @@ class Fleet:
     def stop(self):
         """End all programs."""
         for process in reversed(self.running):
-            process.send_signal(signal.SIGINT)
+            process.terminate()
         for process in self.running:
             try:
                 process.wait(10)
@@ -90,7 +90,10 @@ def wait(what, condition):
 
 
 def main():
-    """Start everything, and wait for ^C."""
+    """Start everything, and wait for ^C or SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # A shell starts background programs with SIGINT ignored.
+        signal.signal(number, signal.default_int_handler)
     programs, folder = Path(sys.argv[1]).resolve(), Path(tempfile.mkdtemp(prefix='gdp-web-'))
     fleet = Fleet(programs, folder)
     try:

@@ -11,12 +11,14 @@ use serde_json::{Map, Value};
 use super::credential_file::{CertificateOutput, IssuedOutput};
 use super::output::FailureOutput;
 use super::revocation::RevokeOutput;
-use super::{advertise, doctor, domain, dump, grant, home, key, name, ping, query, service, status, topic, trace, xdp};
+use super::{
+    advertise, doctor, domain, dump, grant, home, key, name, ping, query, service, status, topic, trace, web, xdp,
+};
 
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
 /// Output type of each command: a single object, or one object on each line.
-const OUTPUTS: [(&str, Of); 53] = [
+const OUTPUTS: [(&str, Of); 54] = [
     ("error", of::<FailureOutput>),
     ("invite", of::<home::InviteOutput>),
     ("approve", of::<home::DecisionOutput>),
@@ -29,6 +31,7 @@ const OUTPUTS: [(&str, Of); 53] = [
     ("admin rotate", of::<home::RotationOutput>),
     ("admin log", of::<home::LogOutput>),
     ("status", of::<status::StatusOutput>),
+    ("web", of::<web::WebOutput>),
     ("link list", of::<LinksReply>),
     ("peer list", of::<PeersReply>),
     ("topology", of::<TopologyReply>),

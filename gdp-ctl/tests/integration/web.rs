@@ -58,6 +58,7 @@ async fn the_page_shows_switches_links_names_rates_paths_and_what_is_down() {
                  + row.cells[3].textContent).sort().join()";
     assert_eq!(browser.evaluate(roles).await, "publisher verified,subscriber verified");
 
+    browser.wait("document.querySelectorAll('#map .onpath').length === 2").await;
     for (width, height, scheme) in [(1280, 860, "light"), (1280, 860, "dark"), (390, 844, "light"), (390, 844, "dark")]
     {
         let picture = browser.picture(width, height, scheme).await;

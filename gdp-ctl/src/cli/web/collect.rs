@@ -52,8 +52,11 @@ struct Latest {
 #[derive(Default)]
 struct Members {
     is_reading: AtomicBool,
-    known: Mutex<Option<(Instant, Result<Option<RobotsOutput>, String>)>>,
+    known: Mutex<Option<(Instant, Found)>>,
 }
+
+/// The members, if this machine has the domain's files, or why they cannot be read.
+type Found = Result<Option<RobotsOutput>, String>;
 
 impl Collector {
     pub fn new(context: Context, home: HomeOptions, keyring: Option<PathBuf>, events: Arc<Events>) -> Self {

@@ -24,7 +24,9 @@ use clap::Args;
 use gdp_core::name::NamePrefix;
 use gdp_http::{Access, AccessToken, HttpRequest, HttpResponse, Listener, StatusCode, parse_address, serve};
 use gdp_util::folders;
-use gdp_util::terminal::{self, note};
+use gdp_util::terminal::note;
+use schemars::JsonSchema;
+use serde::Serialize;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::Semaphore;
 
@@ -56,6 +58,13 @@ pub struct Options {
     keyring: Option<PathBuf>,
     #[command(flatten)]
     home: HomeOptions,
+}
+
+/// Output of `gdp-ctl web`.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct WebOutput {
+    /// The address for a browser, with the token unless that is in a file.
+    url: String,
 }
 
 /// The cookie in which a browser keeps the token.
@@ -94,10 +103,10 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         let address = listener.address();
         let events = Events::follow(context.clone());
         let collector = Arc::new(Collector::new(context.clone(), options.home, keyring, events));
-        match secret {
-            Some(secret) => terminal::print([format!("http://{address}/?token={secret}")])?,
-            None => terminal::print([format!("http://{address}/?token=…")])?,
-        }
+        // Whoever has the file knows its token.
+        let url = format!("http://{address}/?token={}", secret.as_deref().unwrap_or("…"));
+        let output = WebOutput { url };
+        context.output.print(&output, || [output.url.clone()])?;
         note("gdp-ctl: open this address in a browser; it holds a secret; ^C ends the page");
         let one_path = Arc::new(Semaphore::new(1));
         tokio::select! {

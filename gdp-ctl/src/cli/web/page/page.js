@@ -299,11 +299,16 @@ async function trace(name) {
 }
 
 function showPath(answer) {
-  const lines = element("pre", "", answer.trace_error ?? answer.trace.join("\n"));
-  lines.tabIndex = 0;
   found.replaceChildren();
-  if (answer.query_error) found.append(element("p", "empty", answer.query_error));
-  found.append(lines);
+  for (const error of [answer.query_error, answer.trace_error]) if (error) found.append(element("p", "empty", error));
+  if (answer.trace_error && answer.trace.length) {
+    found.append(element("p", "empty", "The path to where it is published:"));
+  }
+  if (answer.trace.length) {
+    const lines = element("pre", "", answer.trace.join("\n"));
+    lines.tabIndex = 0;
+    found.append(lines);
+  }
   new Table("found", [
     { title: "role", cell: (row) => row.role },
     { title: "entity", cell: (row) => called(row.entity) },
