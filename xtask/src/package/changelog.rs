@@ -8,6 +8,8 @@ use anyhow::{Context, Result, ensure};
 
 use crate::workspace;
 
+const COLUMNS: usize = 79;
+
 /// Who makes the packages.
 pub const MAINTAINER: &str = "The GDP developers <gdp@packages.invalid>";
 
@@ -30,10 +32,25 @@ fn debian(text: &str, version: &str) -> Result<String> {
     let mut out = String::new();
     for (version, date, changes) in entries {
         writeln!(out, "gdp ({version}-1) unstable; urgency=medium\n")?;
-        changes.iter().try_for_each(|change| writeln!(out, "  * {change}"))?;
+        changes.iter().for_each(|change| out.push_str(&wrapped(change)));
         writeln!(out, "\n -- {MAINTAINER}  {} 00:00:00 +0000\n", rfc_2822(&date)?)?;
     }
     Ok(out)
+}
+
+/// Returns a change as Debian's lines of at most 80 columns.
+fn wrapped(change: &str) -> String {
+    let (mut out, mut line) = (String::new(), "  *".to_owned());
+    for word in change.split_whitespace() {
+        if line.len() + 1 + word.len() > COLUMNS {
+            out.push_str(&line);
+            out.push('\n');
+            line = "   ".to_owned();
+        }
+        line.push(' ');
+        line.push_str(word);
+    }
+    out + &line + "\n"
 }
 
 /// Returns version, date and changes of each release, the newest first.
@@ -48,7 +65,7 @@ fn entries(text: &str) -> Result<Vec<(String, String, Vec<String>)>> {
         } else if let (Some((_, _, changes)), Some(more)) = (entries.last_mut(), line.strip_prefix("  "))
             && let Some(change) = changes.last_mut()
         {
-            change.push_str("\n    ");
+            change.push(' ');
             change.push_str(more.trim());
         }
     }

@@ -26,13 +26,6 @@ pub struct Package {
     pub tree: PathBuf,
 }
 
-impl Staged {
-    pub fn tree(&self, name: &str) -> Result<&Path> {
-        let found = self.packages.iter().find(|package| package.name == name);
-        Ok(&found.with_context(|| format!("no package {name}"))?.tree)
-    }
-}
-
 const SWITCH_UNITS: [&str; 2] = ["gdp-switch.service", "gdp-join.service"];
 const PROXY_UNITS: [&str; 2] = ["gdp-proxy.service", "gdp-proxy@.service"];
 

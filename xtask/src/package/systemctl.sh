@@ -64,7 +64,16 @@ start() {
     echo "$1 is not ready" >&2
     return 1
 }
-for unit in $units; do
+expand() { # running units of each pattern
+    for pattern in $units; do
+        case "$pattern" in
+        *\**) (cd /run/units && find . -name "$pattern" | sed 's|^./||') ;;
+        *) echo "$pattern" ;;
+        esac
+    done
+}
+set -f
+for unit in $(expand); do
     case "$verb" in
     enable) touch "/etc/enabled-$unit" ;;
     disable) rm -f "/etc/enabled-$unit" ;;

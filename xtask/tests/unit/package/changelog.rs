@@ -8,10 +8,17 @@ const SOURCE: &str = "# Changelog\n\n## [0.2.0] - 2026-11-26\n\n### Added\n\n- O
 #[test]
 fn each_release_is_an_entry_with_its_day_of_the_week() {
     let made = debian(SOURCE, "0.2.0").unwrap();
-    let first = "gdp (0.2.0-1) unstable; urgency=medium\n\n  * One thing,\n    with more.\n  * Another.\n\n -- ";
+    let first = "gdp (0.2.0-1) unstable; urgency=medium\n\n  * One thing, with more.\n  * Another.\n\n -- ";
     assert!(made.starts_with(first), "{made}");
     assert!(made.contains("  Thu, 26 Nov 2026 00:00:00 +0000\n"), "{made}");
     assert!(made.contains("  Sat, 28 Feb 2026 00:00:00 +0000\n"), "{made}");
+}
+
+#[test]
+fn a_long_change_is_wrapped_between_words() {
+    let made = wrapped(&"word ".repeat(40));
+    assert!(made.lines().count() == 3 && made.lines().all(|line| line.len() <= COLUMNS), "{made}");
+    assert!(made.starts_with("  * word") && made.contains("\n    word"), "{made}");
 }
 
 #[test]
