@@ -37,14 +37,23 @@ pub fn state() -> Result<PathBuf, NoFolder> {
 /// Returns the path of the admin socket between daemon and commands. It is beside the keys if the
 /// user has no runtime folder.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
+    Ok(sockets()?.join("ctl.sock"))
+}
+
+/// Returns the path of the admin socket of the proxy.
+pub fn proxy_socket() -> Result<PathBuf, NoFolder> {
+    Ok(sockets()?.join("proxy.sock"))
+}
+
+fn sockets() -> Result<PathBuf, NoFolder> {
     if is_root() {
-        return Ok("/run/gdp/ctl.sock".into());
+        return Ok("/run/gdp".into());
     }
     let folder = match absolute("XDG_RUNTIME_DIR") {
         Some(base) => base.join("gdp"),
         None => state()?,
     };
-    Ok(folder.join("ctl.sock"))
+    Ok(folder)
 }
 
 /// Returns the folder of the user's name cards, grants and key.

@@ -7,8 +7,8 @@ const GROUPS: [(&str, &[&str]); 3] = [
     (
         "Everyday",
         &[
-            "up", "invite", "robots", "approve", "deny", "revoke", "apply", "admin", "status", "doctor", "topic",
-            "service", "action",
+            "up", "invite", "robots", "approve", "deny", "revoke", "apply", "admin", "status", "top", "doctor",
+            "topic", "service", "action",
         ],
     ),
     ("Rights", &["key", "name", "grant", "domain", "cert"]),

@@ -39,6 +39,10 @@ pub struct Options {
     /// eBPF object file, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
+    /// Address and port of metrics in OpenMetrics, or a port alone for loopback, instead of the
+    /// configured one.
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = gdp_http::parse_address)]
+    metrics: Option<SocketAddr>,
     /// On a stop signal, exit without notifying the neighbours and leave the kernel forwarding, so
     /// that a new daemon can take over during an upgrade.
     #[arg(long)]
@@ -65,6 +69,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     }
     config.identity = options.identity.unwrap_or(config.identity);
     config.udp = options.udp.or(config.udp);
+    config.metrics = options.metrics.or(config.metrics);
     config.data_plane = options.data_plane.unwrap_or(config.data_plane);
     if options.no_xdp {
         config.data_plane = DataPlane::Userspace;

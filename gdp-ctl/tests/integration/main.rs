@@ -16,6 +16,7 @@ mod grants;
 mod hostile_text;
 mod inboxes;
 mod member;
+mod metrics;
 mod owner;
 mod ports;
 mod probes;

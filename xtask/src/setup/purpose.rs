@@ -46,6 +46,8 @@ pub enum SetupPart {
     Dpdk,
     /// Run replicas of a RIB.
     Etcd,
+    /// Check metrics and alert rules.
+    Promtool,
     /// Compile the client of etcd.
     EtcdClient,
     /// Run foreign DDS programs against this project's.
@@ -69,22 +71,25 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags,
-            Workspace, Zenoh,
+            Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Namespaces, Promtool, Ros1, Ros2,
+            Rosbags, Workspace, Zenoh,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
-            Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
-            Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
+            Self::Unit => &[Workspace, Git, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
+            Self::Test => {
+                &[Workspace, Git, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2]
+            }
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
-                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Eval, Fresh,
+                Workspace, Git, Promtool, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2,
+                Eval, Fresh,
             ],
         }
     }

@@ -47,7 +47,7 @@ pub use admin::{BackupOutput, LogOutput};
 pub use applications::{ApproveOptions, DecisionOutput, DenyOptions, approve, deny};
 pub use fleet::ApplyOutput;
 pub use invite::InviteOutput;
-pub use robots::RobotsOutput;
+pub use robots::{RobotsOutput, gather};
 pub use rotate::RotationOutput;
 pub use {admin::Command as AdminCommand, admin::run as admin};
 pub use {fleet::Options as ApplyOptions, fleet::run as apply};

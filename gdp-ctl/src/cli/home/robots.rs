@@ -29,21 +29,21 @@ pub struct Options {
 /// Output of `gdp-ctl robots`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RobotsOutput {
-    members: Vec<MemberOutput>,
+    pub members: Vec<MemberOutput>,
 }
 
 /// A member, or whoever is invited as one.
 #[derive(Debug, Serialize, JsonSchema)]
-struct MemberOutput {
-    label: String,
+pub struct MemberOutput {
+    pub label: String,
     /// `online`, `offline`, `joined` if no daemon tells whether it is online, `invited`, `pending`,
     /// `left`, `expired` or `revoked`.
-    state: &'static str,
+    pub state: &'static str,
     /// None if it has not joined.
     entity: Option<Name>,
     /// Of a machine that waits for approval: what it shows, to be compared.
     fingerprint: Option<String>,
-    expose: Vec<String>,
+    pub expose: Vec<String>,
     /// Each with the label of the other member.
     import: Vec<String>,
     read: Vec<String>,
@@ -53,8 +53,9 @@ struct MemberOutput {
     renews_until: u64,
 }
 
-pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let home = options.home.home()?;
+/// Returns the members of the domain whose files are on this machine.
+pub fn gather(options: &HomeOptions, context: &Context) -> anyhow::Result<RobotsOutput> {
+    let home = options.home()?;
     let ledger = home.ledger()?;
     let now = unix_seconds();
     let service = members::stored(&home)?;
@@ -108,7 +109,11 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         renews_until: 0,
     });
     let members = ledger.issued.iter().filter(is_member).map(member).chain(waiting).collect();
-    let output = RobotsOutput { members };
+    Ok(RobotsOutput { members })
+}
+
+pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let (now, output) = (unix_seconds(), gather(&options.home, context)?);
     context.output.print(&output, || {
         let row = |member: &MemberOutput| {
             let entity = member.entity.map_or("–".to_owned(), |entity| format!("{entity:#}"));
