@@ -1,12 +1,14 @@
 //! Client of the daemon's admin socket.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_proto::admin::event::TimedEvent;
+use gdp_proto::admin::proxy::ProxyReply;
+use gdp_proto::admin::status::StatusReply;
 use gdp_proto::admin::{MAX_REPLY, Reply, Request, VERSION, Versioned, check_version};
 use gdp_proto::control::RefusalCode;
 use serde_json::Value;
@@ -45,6 +47,12 @@ impl ClientError {
     }
 }
 
+/// The state of the program that answers.
+pub enum ProgramStatus {
+    Switch(Box<StatusReply>),
+    Proxy(Box<ProxyReply>),
+}
+
 /// A connection to the daemon.
 pub struct Client {
     stream: BufReader<UnixStream>,
@@ -53,7 +61,7 @@ pub struct Client {
 impl Client {
     pub fn connect(path: &Path) -> Result<Self, ClientError> {
         let stream = UnixStream::connect(path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::PermissionDenied => ClientError::NotAllowed(path.into()),
+            ErrorKind::PermissionDenied => ClientError::NotAllowed(path.into()),
             _ => ClientError::NoDaemon { path: path.into(), source },
         })?;
         stream.set_read_timeout(Some(TIMEOUT)).map_err(ClientError::Broken)?;
@@ -67,11 +75,24 @@ impl Client {
         T::try_from(reply).map_err(|_| ClientError::Malformed("another kind of reply".into()))
     }
 
+    /// Asks a switch or a proxy for its state.
+    pub fn status(&mut self) -> Result<ProgramStatus, ClientError> {
+        match self.exchange(&Request::Status)? {
+            Reply::Status(status) => Ok(ProgramStatus::Switch(status)),
+            Reply::Proxy(status) => Ok(ProgramStatus::Proxy(status)),
+            _ => Err(ClientError::Malformed("another kind of reply".into())),
+        }
+    }
+
     fn exchange(&mut self, request: &Request) -> Result<Reply, ClientError> {
         let request = serde_json::to_string(&Versioned { v: VERSION, value: request });
         let line = request.map_err(|error| ClientError::Malformed(error.to_string()))? + "\n";
-        self.stream.get_mut().write_all(line.as_bytes()).map_err(ClientError::Broken)?;
-        self.reply()?.ok_or_else(|| ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()))
+        // A daemon without a free slot says so and reads nothing.
+        match self.stream.get_mut().write_all(line.as_bytes()) {
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => return Err(ClientError::Broken(error)),
+            _ => {}
+        }
+        self.reply()?.ok_or_else(|| ClientError::Broken(ErrorKind::UnexpectedEof.into()))
     }
 
     /// Reads the next line from the daemon; `None` if it has closed the connection.
@@ -83,7 +104,7 @@ impl Client {
             return Ok(None);
         }
         if !line.ends_with('\n') {
-            return Err(ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()));
+            return Err(ClientError::Broken(ErrorKind::UnexpectedEof.into()));
         }
         let mut value: Value = serde_json::from_str(&line).map_err(malformed)?;
         check_version(&mut value).map_err(ClientError::Malformed)?;

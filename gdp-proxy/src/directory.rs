@@ -81,7 +81,7 @@ pub async fn follow(
 
 /// Returns the status of the directory, if there is one.
 pub fn status(material: Option<&DirectoryMaterial>) -> Option<RouteStatus> {
-    material.map(|of| RouteStatus::new("directory".into(), of.card.name(), None))
+    material.map(|of| RouteStatus::new("directory".into(), of.card.name(), None, None))
 }
 
 /// Returns the directory's part of the statistics.

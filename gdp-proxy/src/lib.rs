@@ -11,6 +11,7 @@
 //! - [`proxy`] assembles these parts.
 //! - [`reload`] reads the configuration again when it changes.
 //! - [`stats`] counts messages and drops.
+//! - [`metrics`] shows the counters to Prometheus.
 //! - [`relay`] runs a switch of `gdp-ctl` beside the proxy, for other endpoints.
 //!
 //! The SDK (`gdp`) is the interface to the fabric: nothing here seals, signs or routes.
@@ -18,6 +19,7 @@
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+mod admin;
 pub mod automatic;
 pub mod call;
 mod carries;
@@ -32,6 +34,7 @@ pub mod join;
 pub mod manager;
 pub mod material;
 mod material_error;
+pub mod metrics;
 mod node_name;
 mod offload;
 pub mod peer_proxies;

@@ -3,6 +3,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 use std::io::IsTerminal as _;
+use std::net::SocketAddr;
 use std::num::NonZeroU16;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -56,6 +57,13 @@ struct Arguments {
     /// File for counters, rewritten every second as one JSON object
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
+    /// Admin socket, which `gdp-ctl status` and `gdp-ctl top` ask, instead of the configured one
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
+    /// Address and port of metrics in OpenMetrics, or a port alone for loopback, instead of the
+    /// configured one
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = gdp_http::parse_address)]
+    metrics: Option<SocketAddr>,
 }
 
 /// The package's unit for the proxy of this machine.
@@ -290,7 +298,10 @@ fn carry(path: &Path, arguments: Arguments) -> Result<()> {
         let stop = stop_signal()?;
         #[cfg(debug_assertions)]
         tokio::spawn(panics::inject());
-        proxy::run(loaded()?, watch, arguments.stats.map(StatsFile::new), stop).await
+        let mut loaded = loaded()?;
+        loaded.config.socket = arguments.socket.or(loaded.config.socket);
+        loaded.config.metrics = arguments.metrics.or(loaded.config.metrics);
+        proxy::run(loaded, watch, arguments.stats.map(StatsFile::new), stop).await
     })
 }
 

@@ -2,7 +2,7 @@
 
 use crate::config::Side;
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
+use gdp_core::cert::{AboutName, AdCert, CertError, Claims as _, Issued, MAX_CERT_FILE, Reading};
 use gdp_core::file_kind::FileKind;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
@@ -26,6 +26,18 @@ impl Permission {
         }
     }
 
+    /// Returns when the first certificate of the chain ends, in Unix seconds; `None` if it cannot be
+    /// read.
+    pub fn until(&self) -> Option<u64> {
+        match self {
+            Self::Publish(cert) => end(cert),
+            Self::Read(grant) => {
+                let member = grant.member.as_ref().map(|member| member.until_unverified()).transpose().ok()?;
+                Some(end(&grant.grant)?.min(member.unwrap_or(u64::MAX)))
+            }
+        }
+    }
+
     /// Returns the certificate to publish, or `None` if it is one to read.
     pub fn publish(self) -> Option<Issued<AdCert>> {
         match self {
@@ -41,6 +53,13 @@ impl Permission {
             Self::Read(grant) => Some(grant),
         }
     }
+}
+
+fn end<T: AboutName>(issued: &Issued<T>) -> Option<u64> {
+    let cert = issued.cert.claims_unverified().ok()?.validity();
+    let delegation = issued.delegation.as_ref().map(|delegation| delegation.claims_unverified());
+    let delegation = delegation.transpose().ok()?.map_or(u64::MAX, |delegation| delegation.validity().not_after);
+    Some(cert.not_after.min(delegation))
 }
 
 /// Reads and checks the certificate file of one direction of a topic.

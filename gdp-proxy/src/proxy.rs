@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use gdp::unstable::{LinkConfig, Node, NodeConfig};
+use gdp::unstable::{LinkConfig, LinkState, LinkStatus, Node, NodeConfig, NodeCounters};
 use gdp_core::crypto::Backend;
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
@@ -15,10 +15,11 @@ use gdp_util::service_manager::ServiceManager;
 use gdp_util::ticks::Ticks;
 use tokio::sync::watch;
 
+use crate::admin;
 use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
 use crate::carries::Carries;
-use crate::config::Config;
+use crate::config::{Config, LinkEntry};
 use crate::diagnostics::{self, Diagnostics};
 use crate::directory::{self, Members};
 use crate::graph;
@@ -85,9 +86,16 @@ async fn carry(
         file.probe().with_context(|| format!("{}: cannot be written", file.path().display()))?;
     }
     let mut stop = std::pin::pin!(stop);
-    let node = tokio::select! {
-        node = connect(&loaded, manager) => node?,
-        () = &mut stop => return Ok(()),
+    let (_serving, mut requests) = admin::serve(&loaded.config)?;
+    let node = {
+        let mut connecting = std::pin::pin!(connect(&loaded, manager));
+        loop {
+            tokio::select! {
+                node = &mut connecting => break node?,
+                () = &mut stop => return Ok(()),
+                request = requests.next() => drop(request.send(unattached(&loaded))),
+            }
+        }
     };
     let ros_node = format!("{}{}", graph::NODE, &node.name().to_string()[..8]);
     let types = Arc::new(Types::load(loaded.config.definitions.folders()).context("definitions")?);
@@ -141,7 +149,8 @@ async fn carry(
                     directory::look(status, &node);
                 }
             }
-            () = stats_writer.due() => stats_writer.show(&node, directory_status.as_ref(), running.stats()),
+            () = stats_writer.due() => stats_writer.show(&running.stats(&node, directory_status.as_ref())),
+            request = requests.next() => drop(request.send(running.stats(&node, directory_status.as_ref()))),
             () = diagnostics::due(&mut diagnostics) => {
                 if let Some(diagnostics) = &mut diagnostics {
                     diagnostics.tell(&running.routes.stats(), &graphs, &types).await;
@@ -185,7 +194,7 @@ async fn carry(
     manager.stopping();
     tracing::info!("leaving");
     let last = running.close().await;
-    stats_writer.show(&node, directory_status.as_ref(), last);
+    stats_writer.show(&last.shown(&node, directory_status.as_ref()));
     drop((automatic, explicit, diagnostics));
     node.close().await;
     graph::leave(graphs).await;
@@ -229,14 +238,68 @@ impl Running {
         self.calls.look(now);
     }
 
-    fn stats(&self) -> RunningStats {
-        RunningStats { topics: self.routes.stats(), calls: self.calls.stats(), catalogs: self.catalogs.stats() }
+    fn stats(&self, node: &Node, directory: Option<&RouteStatus>) -> Stats {
+        let running =
+            RunningStats { topics: self.routes.stats(), calls: self.calls.stats(), catalogs: self.catalogs.stats() };
+        running.shown(node, directory)
     }
 
     /// Ends all routes and returns their last statistics.
     async fn close(self) -> RunningStats {
         let (topics, calls, catalogs) = tokio::join!(self.routes.close(), self.calls.close(), self.catalogs.close());
         RunningStats { topics, calls, catalogs }
+    }
+}
+
+impl RunningStats {
+    fn shown(self, node: &Node, directory: Option<&RouteStatus>) -> Stats {
+        let Self { topics, calls, catalogs } = self;
+        let (member_until, member_error) = match node.member_until() {
+            None => (None, None),
+            Some(Ok(until)) => (Some(until), None),
+            Some(Err(error)) => (None, Some(error.to_string())),
+        };
+        Stats {
+            version: VERSION,
+            entity: node.name(),
+            switch: node.switch().ok(),
+            member_until,
+            member_error,
+            topics,
+            calls,
+            catalogs,
+            directory: directory.map(directory::stats),
+            links: node.links(),
+            node: node.counters(),
+        }
+    }
+}
+
+/// Returns the statistics while no switch has answered since the start.
+fn unattached(Loaded { config, material }: &Loaded) -> Stats {
+    let down = |link: &LinkEntry| LinkStatus {
+        target: link.to.to_string(),
+        state: LinkState::Down,
+        reason: Some("no switch has answered since the proxy started".into()),
+        main: false,
+        switch: None,
+        frames_sent: 0,
+        frames_unsent: 0,
+        copies_sent: 0,
+        copies_dropped: 0,
+    };
+    Stats {
+        version: VERSION,
+        entity: material.identity.name(),
+        switch: None,
+        member_until: None,
+        member_error: None,
+        topics: Vec::new(),
+        calls: Vec::new(),
+        catalogs: Vec::new(),
+        directory: None,
+        links: config.links.iter().map(down).collect(),
+        node: NodeCounters::default(),
     }
 }
 
@@ -368,24 +431,9 @@ impl StatsWriter {
         }
     }
 
-    fn show(
-        &mut self,
-        node: &Node,
-        directory: Option<&RouteStatus>,
-        RunningStats { topics, calls, catalogs }: RunningStats,
-    ) {
+    fn show(&mut self, stats: &Stats) {
         let Some(file) = &self.file else { return };
-        let result = file.replace(&Stats {
-            version: VERSION,
-            entity: node.name(),
-            switch: node.switch().ok(),
-            topics,
-            calls,
-            catalogs,
-            directory: directory.map(directory::stats),
-            links: node.links(),
-            node: node.counters(),
-        });
+        let result = file.replace(stats);
         if let Err(error) = &result
             && !self.failing
         {

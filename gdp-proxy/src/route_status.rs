@@ -2,7 +2,7 @@
 //! progress, and the reason of its end.
 
 use std::fmt::Display;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use gdp::unstable::{Ended, NodeError};
@@ -78,9 +78,11 @@ impl<T: Clone> Right<T> {
         self.current.clone()
     }
 
-    /// Returns a certificate that differs from the current one, if there is one.
-    fn newer(&mut self) -> Option<T> {
-        self.file.changed().and_then(self.of)
+    /// Returns a certificate that differs from the current one, if there is one, and its end.
+    fn newer(&mut self) -> Option<(T, Option<u64>)> {
+        let permission = self.file.changed()?;
+        let until = permission.until();
+        Some(((self.of)(permission)?, until))
     }
 }
 
@@ -93,6 +95,8 @@ pub struct RouteStatus {
     wait: Mutex<WaitLog>,
     /// True once the route has ended by itself.
     has_failed: AtomicBool,
+    /// When the certificate ends, in Unix seconds; 0 if that is not known.
+    until: AtomicU64,
 }
 
 struct Progress {
@@ -103,14 +107,15 @@ struct Progress {
 }
 
 impl RouteStatus {
-    /// `kind` is the ROS type, if it is known.
-    pub fn new(title: String, name: Name, kind: Option<String>) -> Self {
+    /// `kind` is the ROS type, if it is known. `until` is the end of the route's certificate.
+    pub fn new(title: String, name: Name, kind: Option<String>, until: Option<u64>) -> Self {
         Self {
             title,
             name,
             progress: Mutex::new(Progress { kind, status: "starting".into(), is_refused: false }),
             wait: Mutex::new(WaitLog::default()),
             has_failed: AtomicBool::new(false),
+            until: AtomicU64::new(until.unwrap_or(0)),
         }
     }
 
@@ -135,6 +140,11 @@ impl RouteStatus {
     /// Returns `up`, or what the route waits for.
     pub fn status(&self) -> String {
         self.progress().status.clone()
+    }
+
+    /// Returns when the route's certificate ends, in Unix seconds, if that is known.
+    pub fn certificate_until(&self) -> Option<u64> {
+        Some(self.until.load(Relaxed)).filter(|until| *until > 0)
     }
 
     /// Whether the route has ended by itself before.
@@ -216,19 +226,21 @@ impl RouteStatus {
         self.progress().is_refused = true;
         self.set_status(&message);
         tokio::time::sleep(delay).await;
-        if let Some(new) = right.newer() {
+        if let Some((new, until)) = right.newer() {
             right.current = new;
             right.file.taken();
+            self.until.store(until.unwrap_or(0), Relaxed);
         }
     }
 
     /// Puts a renewed certificate in force, if there is one. `show` presents it to the RIB.
     pub async fn renew<T: Clone>(&self, right: &mut Right<T>, show: impl AsyncFnOnce(T) -> Result<(), NodeError>) {
-        let Some(new) = right.newer() else { return };
+        let Some((new, until)) = right.newer() else { return };
         match show(new.clone()).await {
             Ok(()) => {
                 right.current = new;
                 right.file.taken();
+                self.until.store(until.unwrap_or(0), Relaxed);
                 tracing::info!(what = %self.title, name = %self.name, "the certificate was renewed");
             }
             Err(error) => right.file.refused(&error),

@@ -142,6 +142,8 @@ pub struct RouteStats {
     pub status: String,
     /// What is missing for messages to flow; null if nothing is.
     pub waiting_for: Option<Waiting>,
+    /// When the certificate ends, in Unix seconds; null if that is not known.
+    pub certificate_until: Option<u64>,
     pub direction: Side,
     pub name: Name,
     #[serde(flatten)]
@@ -198,6 +200,10 @@ pub struct Stats {
     pub entity: Name,
     /// The switch at the other end of the main link; null while the link is lost.
     pub switch: Option<Name>,
+    /// When the proxy's membership in its domain ends, in Unix seconds; null without a valid one.
+    pub member_until: Option<u64>,
+    /// Why the membership is not valid; null if it is, or without a domain.
+    pub member_error: Option<String>,
     pub topics: Vec<RouteStats>,
     /// The catalogs, which carry automatically matched topics and calls.
     pub catalogs: Vec<CatalogStats>,

@@ -76,7 +76,7 @@ use self::revoked::Revoked;
 use self::state::State;
 use self::statement::Statement;
 use gdp_core::cert::{AdCert, Issued, Reading as Grant};
-use gdp_core::domain::{CredentialFiles, Credentials};
+use gdp_core::domain::{CredentialFiles, Credentials, DomainError};
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::peer::MAX_LANES;
 use gdp_link::link::LinkError;
@@ -313,6 +313,12 @@ impl Node {
             }
         }
         Ok(())
+    }
+
+    /// Returns when the node's membership in its domain ends, in Unix seconds, or why it is not
+    /// valid. `None` for a node without a domain.
+    pub fn member_until(&self) -> Option<Result<u64, DomainError>> {
+        self.0.state.home.member_until()
     }
 
     /// Keeps the credentials equal to the files, forever, and presents new ones to the switches

@@ -64,6 +64,8 @@ programs! {
     Openssl = "openssl",
     /// Started by build scripts as well.
     PkgConfig = "pkg-config",
+    /// Installed by setup, possibly only in the folder of `cargo install`.
+    Promtool = "promtool",
     Protoc = "protoc",
     /// Debian's Python, which has the modules of ROS 1; `PATH` may list another one first.
     Python3 = "/usr/bin/python3",

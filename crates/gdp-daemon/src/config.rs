@@ -6,20 +6,20 @@ mod domain;
 mod dpdk;
 mod etcd;
 mod listen;
+mod neighbour;
 
 use std::collections::HashSet;
+use std::fs;
 use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::{fmt, fs};
 
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::crypto::Backend;
 use gdp_core::file_kind::FileKind;
-use gdp_core::link_target::LinkTarget;
+use gdp_http::parse_address;
 use gdp_link::link::RekeySchedule;
 use gdp_util::yaml;
-use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -28,7 +28,9 @@ pub use self::domain::{DomainConfig, Inside};
 use self::dpdk::DpdkEntry;
 pub use self::etcd::EtcdConfig;
 use self::etcd::EtcdEntry;
-use self::listen::{UdpConfig, parse_tls, parse_tls_target};
+use self::listen::{UdpConfig, parse_tls};
+use self::neighbour::NeighbourAddressEntry;
+pub use self::neighbour::{Neighbour, NeighbourAddress, Via};
 use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
@@ -43,10 +45,8 @@ const MAX_FILE: u64 = 256 * 1024;
 pub struct Config {
     /// The file of the switch's private key. The daemon generates a missing one.
     pub identity: PathBuf,
-    /// The path of the admin socket.
+    /// The path of the admin socket, which this process's user and group may use.
     pub socket: PathBuf,
-    /// Whether this process's group may use the socket. Not an option of the file.
-    pub group_socket: bool,
     /// The Ethernet interfaces that carry links directly. `None`: those that other keys name. See
     /// [`Config::named_interfaces`].
     pub interfaces: Option<Vec<String>>,
@@ -73,6 +73,10 @@ pub struct Config {
     pub public: Vec<SocketAddr>,
     /// The store of the RIB, if it is one of several replicas.
     pub etcd: Option<EtcdConfig>,
+    /// The address that serves metrics, if any.
+    pub metrics: Option<SocketAddr>,
+    /// The file of the token that a scrape of the metrics needs. `None`: everybody on this machine.
+    pub metrics_token: Option<PathBuf>,
     /// The back end of cryptography, if it is not the default one.
     pub crypto: Option<Backend>,
     /// The schedule of link key rotation. Not an option of the file.
@@ -94,59 +98,6 @@ pub enum DataPlane {
     Userspace,
 }
 
-/// A configured neighbour and the cost of its link. Without a cost, the round-trip time determines
-/// it, see [`gdp_rib::topology::cost`].
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Neighbour {
-    pub address: NeighbourAddress,
-    pub cost: Option<u32>,
-    /// Whether this side dials. Otherwise the side with the smaller name does.
-    pub dial: bool,
-    /// Whether the neighbour is a border of a parent domain, whose RIB is above this one's. The
-    /// order of the list is the order of queries to parents.
-    pub parent: bool,
-    /// Where the neighbour is reached over TLS while it does not answer over UDP.
-    pub tls: Option<LinkTarget>,
-}
-
-/// A neighbouring switch and its location.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NeighbourAddress {
-    pub switch: Name,
-    pub via: Via,
-}
-
-/// The path to a neighbour.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum Via {
-    /// The neighbour is on the segment of this interface, and discovery finds its address.
-    Interface(String),
-    Udp(SocketAddr),
-    /// Inside TLS, by a tunnel to this address.
-    Tls(LinkTarget),
-}
-
-impl Via {
-    /// Returns whether both use the same interface, or both use UDP. A tunnel ends at UDP.
-    pub fn same_port(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Interface(a), Self::Interface(b)) => a == b,
-            (Self::Udp(_) | Self::Tls(_), Self::Udp(_) | Self::Tls(_)) => true,
-            _ => false,
-        }
-    }
-}
-
-impl fmt::Display for Via {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Interface(name) => f.write_str(name),
-            Self::Udp(addr) => write!(f, "udp {addr}"),
-            Self::Tls(target) => write!(f, "{target}"),
-        }
-    }
-}
-
 /// The reason why a configuration is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -164,7 +115,6 @@ impl Config {
     pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
         Self {
             socket: identity.with_extension("sock"),
-            group_socket: false,
             identity,
             interfaces: Some(Vec::new()),
             all_interfaces: false,
@@ -180,6 +130,8 @@ impl Config {
             domain: None,
             public: Vec::new(),
             etcd: None,
+            metrics: None,
+            metrics_token: None,
             crypto: None,
             rekey: RekeySchedule::default(),
         }
@@ -303,35 +255,16 @@ struct File {
     public: Vec<SocketAddr>,
     /// The store of RIB replicas.
     etcd: Option<EtcdEntry>,
+    /// Address and port of metrics in OpenMetrics, such as `127.0.0.1:9404`, or a port alone for
+    /// loopback. Off by default.
+    metrics: Option<String>,
+    /// File of the token that a scrape needs: `Authorization: Bearer TOKEN`. An address that other
+    /// machines reach needs one.
+    metrics_token: Option<PathBuf>,
     /// What verifies certificates, if it is not the default: `aws-lc`, or `rustcrypto`, which is
     /// all Rust.
     #[schemars(with = "Option<String>")]
     crypto: Option<Backend>,
-}
-
-/// A neighbouring switch, at an interface or at an address: one of the two.
-#[derive(Debug, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct NeighbourAddressEntry {
-    /// The neighbour's name, 64 hex digits.
-    switch: Name,
-    /// The Ethernet interface that it is on.
-    interface: Option<String>,
-    /// Its address and port.
-    #[schemars(with = "Option<String>")]
-    udp: Option<SocketAddr>,
-    /// Beside `udp`: where it is reached over TLS while UDP does not answer, such as `tls://HOST`
-    /// or `wss://HOST:443`.
-    tls: Option<String>,
-    /// The cost of the link, at least 1. By default it follows from the round-trip time.
-    cost: Option<u32>,
-    /// Makes the link from this side, as with `tls`. Otherwise the switch with the smaller name
-    /// does.
-    #[serde(default)]
-    dial: bool,
-    /// The neighbour is a border of the domain above.
-    #[serde(default)]
-    parent: bool,
 }
 
 impl File {
@@ -339,14 +272,14 @@ impl File {
         let invalid = |reason: String| Err(ParseError::Invalid(reason));
         let mut neighbours = Vec::new();
         for entry in self.neighbours {
-            let neighbour = entry.neighbour("neighbours")?;
+            let neighbour = entry.neighbour("neighbours").map_err(ParseError::Invalid)?;
             if neighbours.iter().any(|n: &Neighbour| n.address.switch == neighbour.address.switch) {
                 return invalid(format!("neighbours: {} is listed twice", neighbour.address.switch));
             }
             neighbours.push(neighbour);
         }
         let uplink_cost = self.uplink.as_ref().and_then(|entry| entry.cost);
-        let uplink = self.uplink.map(|entry| entry.neighbour("uplink")).transpose()?;
+        let uplink = self.uplink.map(|entry| entry.neighbour("uplink")).transpose().map_err(ParseError::Invalid)?;
         let rib = self.rib.unwrap_or(uplink.is_none());
         match &uplink {
             Some(_) if rib => {
@@ -418,8 +351,12 @@ impl File {
                 "data_plane: dpdk needs devices: dpdk: {ports: [{interface: gdp0, device: 0000:02:00.0}]}".into(),
             );
         }
+        let metrics = self.metrics.map(|text| parse_address(&text)).transpose();
+        let metrics = metrics.map_err(|error| ParseError::Invalid(format!("metrics: {error}")))?;
         let here = |path: PathBuf| folder.join(path);
         Ok(Config {
+            metrics,
+            metrics_token: self.metrics_token.map(here),
             identity: match self.identity {
                 Some(path) => here(path),
                 None => folders::state()?.join("switch.pem"),
@@ -428,7 +365,6 @@ impl File {
                 Some(path) => here(path),
                 None => folders::admin_socket()?,
             },
-            group_socket: false,
             interfaces: self.interfaces,
             all_interfaces: false,
             udp: match self.udp {
@@ -450,34 +386,6 @@ impl File {
             etcd,
             rekey: RekeySchedule::default(),
         })
-    }
-}
-
-impl NeighbourAddressEntry {
-    fn neighbour(self, key: &str) -> Result<Neighbour, ParseError> {
-        let cost = self.cost;
-        if cost == Some(0) {
-            return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
-        }
-        let (dial, parent, tls) = (self.dial, self.parent, self.tls.as_deref());
-        let tls = tls.map(|text| parse_tls_target(key, text)).transpose().map_err(ParseError::Invalid)?;
-        if tls.is_some() && self.udp.is_none() {
-            return Err(ParseError::Invalid(format!("{key}: tls of {} is used beside udp: ADDRESS:PORT", self.switch)));
-        }
-        Ok(Neighbour { address: self.address(key)?, cost, dial: dial || tls.is_some(), parent, tls })
-    }
-
-    fn address(self, key: &str) -> Result<NeighbourAddress, ParseError> {
-        let via = match (self.interface, self.udp) {
-            (Some(name), None) => Via::Interface(name),
-            (None, Some(addr)) => Via::Udp(addr),
-            _ => {
-                let switch = self.switch;
-                let reason = format!("{key}: {switch} needs either interface: NAME or udp: ADDRESS:PORT");
-                return Err(ParseError::Invalid(reason));
-            }
-        };
-        Ok(NeighbourAddress { switch: self.switch, via })
     }
 }
 

@@ -48,6 +48,11 @@ impl HttpResponse {
         Self::text(StatusCode::NOT_FOUND, "there is nothing at this path")
     }
 
+    /// A failure that passes.
+    pub fn unavailable(why: &str) -> Self {
+        Self::text(StatusCode::SERVICE_UNAVAILABLE, why)
+    }
+
     /// Replaces the `Content-Security-Policy`.
     pub fn with_policy(self, policy: &'static str) -> Self {
         Self { policy, ..self }

@@ -3,6 +3,7 @@
 //! - [`access`]: who may ask: everybody on this machine, or who presents a token
 //! - [`address`]: the address of a listener, on loopback unless it says otherwise
 //! - [`error`]: reasons why a listener does not start
+//! - [`metrics`]: metrics in the formats of Prometheus and OpenMetrics
 //! - [`server`]: the listener, bounded in connections, bytes and time
 //! - [`exchange`]: a request and its response
 //!
@@ -15,6 +16,7 @@ pub mod access;
 pub mod address;
 pub mod error;
 pub mod exchange;
+pub mod metrics;
 pub mod server;
 
 pub use access::{Access, AccessToken};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::{fmt, fs, io};
 
 /// The admin socket of a switch that root or the service manager started.
-const SYSTEM_SOCKET: &str = "/run/gdp/ctl.sock";
+const SYSTEM_SOCKETS: &str = "/run/gdp";
 
 #[derive(Debug)]
 pub struct NoFolder;
@@ -41,14 +41,23 @@ pub fn state() -> Result<PathBuf, NoFolder> {
 /// Returns the path of the admin socket between daemon and commands. It is beside the keys if the
 /// user has no runtime folder.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
+    Ok(sockets()?.join("ctl.sock"))
+}
+
+/// Returns the path of the admin socket of the proxy.
+pub fn proxy_socket() -> Result<PathBuf, NoFolder> {
+    Ok(sockets()?.join("proxy.sock"))
+}
+
+fn sockets() -> Result<PathBuf, NoFolder> {
     if is_root() {
-        return Ok(SYSTEM_SOCKET.into());
+        return Ok(SYSTEM_SOCKETS.into());
     }
     let folder = match absolute("XDG_RUNTIME_DIR") {
         Some(base) => base.join("gdp"),
         None => state()?,
     };
-    Ok(folder.join("ctl.sock"))
+    Ok(folder)
 }
 
 /// Returns the folder of the user's name cards, grants and key.
@@ -72,7 +81,7 @@ fn absolute(variable: &str) -> Option<PathBuf> {
 /// Returns the path of the admin socket for commands: the user's own, or that of the system's
 /// switch, if only that one exists.
 pub fn admin_socket_for_commands() -> Result<PathBuf, NoFolder> {
-    let of_system = PathBuf::from(SYSTEM_SOCKET);
+    let of_system = Path::new(SYSTEM_SOCKETS).join("ctl.sock");
     match admin_socket() {
         Ok(own) if own.exists() || !of_system.exists() => Ok(own),
         Err(error) if !of_system.exists() => Err(error),

@@ -7,6 +7,7 @@
 //! - [`file_watch`]: watches for changed files (feature `watch`)
 //! - [`folders`]: the folders of state, configuration and socket (feature `folders`)
 //! - [`line_limit`]: a limit on log lines of one kind
+//! - [`line_socket`]: the admin socket of a program (feature `socket`)
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
@@ -30,6 +31,8 @@ pub mod file_watch;
 #[cfg(feature = "folders")]
 pub mod folders;
 pub mod line_limit;
+#[cfg(feature = "socket")]
+pub mod line_socket;
 #[cfg(feature = "program")]
 pub mod log;
 #[cfg(feature = "program")]

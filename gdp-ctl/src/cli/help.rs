@@ -7,7 +7,7 @@ const GROUPS: [(&str, &[&str]); 3] = [
     (
         "Everyday",
         &[
-            "up", "invite", "robots", "approve", "deny", "revoke", "apply", "admin", "status", "web", "doctor",
+            "up", "invite", "robots", "approve", "deny", "revoke", "apply", "admin", "status", "top", "web", "doctor",
             "topic", "service", "action",
         ],
     ),

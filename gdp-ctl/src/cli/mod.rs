@@ -26,12 +26,14 @@ mod output;
 mod peer;
 mod ping;
 mod progress;
+mod proxy_status;
 mod query;
 mod revocation;
 mod schema;
 mod serve;
 mod service;
 mod status;
+mod top;
 mod topic;
 mod topology;
 mod trace;
@@ -118,6 +120,8 @@ enum Command {
     Query(query::Options),
     /// Show the links, the data plane and the counters of a switch.
     Status(status::Options),
+    /// Watch robots, topics, links and drops of this machine, as they change.
+    Top(top::Options),
     /// Create and show name cards: the global names of topics, services and actions.
     #[command(subcommand)]
     Name(name::Command),
@@ -252,6 +256,7 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Withdraw(options) => advertise::withdraw(&options, context),
         Command::Query(options) => query::run(&options, context),
         Command::Status(options) => status::run(&options, context),
+        Command::Top(options) => top::run(&options, context),
         Command::Name(command) => name::run(command, context),
         Command::Key(command) => key::run(command, context),
         Command::Grant(command) => grant::run(command, context),

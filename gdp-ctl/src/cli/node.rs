@@ -47,6 +47,11 @@ pub struct NodeOptions {
 }
 
 impl NodeOptions {
+    /// Whether the user names a switch.
+    pub fn names_switch(&self) -> bool {
+        self.switch.is_some()
+    }
+
     /// Whether to ask a switch elsewhere instead of this machine's daemon: the user names one, or
     /// there is no daemon and this machine has joined a domain.
     pub fn asks_elsewhere(&self, context: &Context) -> bool {

@@ -41,13 +41,14 @@ pub struct Options {
     /// eBPF object file, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
+    /// Address and port of metrics in OpenMetrics, or a port alone for loopback, instead of the
+    /// configured one.
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = gdp_http::parse_address)]
+    metrics: Option<SocketAddr>,
     /// On a stop signal, exit without notifying the neighbours and leave the kernel forwarding, so
     /// that a new daemon can take over during an upgrade.
     #[arg(long)]
     keep: bool,
-    /// Let this process's group use the admin socket as well.
-    #[arg(long)]
-    group_socket: bool,
 }
 
 /// Returns this process's command line, quoted for a shell.
@@ -70,13 +71,13 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     }
     config.identity = options.identity.unwrap_or(config.identity);
     config.udp = options.udp.or(config.udp);
+    config.metrics = options.metrics.or(config.metrics);
     config.data_plane = options.data_plane.unwrap_or(config.data_plane);
     if options.no_xdp {
         config.data_plane = DataPlane::Userspace;
     }
     config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
     config.all_interfaces = options.all_interfaces;
-    config.group_socket = options.group_socket;
     if !options.interface.is_empty() {
         config.name_interfaces(options.interface);
     }

@@ -3,8 +3,8 @@
 
 use anyhow::bail;
 use clap::Args;
-use gdp_proto::admin::Request;
 use gdp_proto::admin::links::Counts;
+use gdp_proto::admin::proxy::ProxyReply;
 use gdp_proto::admin::status::{RecentRefusal, StatusReply, TierStatus, Warning};
 use gdp_proto::control::{AttachmentStatus, Inspected, Inspection};
 use gdp_util::date::relative;
@@ -13,31 +13,50 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::output::{short, table};
+use super::proxy_status;
 use crate::cli::context::Context;
 use crate::cli::node::NodeOptions;
+use crate::client::ProgramStatus;
 use crate::ros::fabric::Fabric;
 
 /// Show the state of the switch.
 ///
-/// Without --switch, the daemon of this machine reports everything. With --switch, a machine
+/// Without --switch, the daemon of this machine reports everything, or its proxy if there is no
+/// daemon. With --switch, a machine
 /// without a daemon asks the switch to which its key attaches. That switch shows itself, and of the
 /// links and names only those of this key.
 #[derive(Debug, Args)]
 pub struct Options {
+    /// Show the state of this machine's proxy. The default where only a proxy runs.
+    #[arg(long, conflicts_with = "switch")]
+    proxy: bool,
     #[command(flatten)]
     node: NodeOptions,
 }
 
-/// Output of `gdp-ctl status`: of this machine's daemon, or of a switch elsewhere.
+/// Output of `gdp-ctl status`: of this machine's daemon, of a switch elsewhere, or of this machine's
+/// proxy.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum StatusOutput {
     Daemon(Box<StatusReply>),
     Attachment(Box<AttachmentStatus>),
+    Proxy(Box<ProxyReply>),
+}
+
+impl From<ProgramStatus> for StatusOutput {
+    fn from(status: ProgramStatus) -> Self {
+        match status {
+            ProgramStatus::Switch(status) => Self::Daemon(status),
+            ProgramStatus::Proxy(status) => Self::Proxy(status),
+        }
+    }
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
+    let is_proxy = options.proxy || (!options.node.names_switch() && context.has_only_proxy());
     let output = match options.node.asks_elsewhere(context) {
+        _ if is_proxy => context.proxy(context.socket.as_deref())?.status()?.into(),
         true => {
             let by_node = async |fabric: &Fabric| match fabric.node.inspect(Inspection::Status).await? {
                 Inspected::Status(status) => Ok(status),
@@ -45,11 +64,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             };
             StatusOutput::Attachment(options.node.with_fabric(options.node.keyring()?, context, by_node)?)
         }
-        false => StatusOutput::Daemon(context.client()?.ask(&Request::Status)?),
+        false => context.client()?.status()?.into(),
     };
     context.output.print(&output, || match &output {
         StatusOutput::Daemon(status) => describe(status),
         StatusOutput::Attachment(status) => describe_attachment(status),
+        StatusOutput::Proxy(status) => proxy_status::describe(status),
     })
 }
 

@@ -311,19 +311,19 @@ fn a_name_is_advertised_queried_dumped_and_withdrawn() {
     assert_eq!(user.json(&["query", "chatter.card"])["records"].as_array().unwrap().len(), 1);
 
     let second = user.run(&["serve", "--config", "daemon.yaml"]);
-    assert!(String::from_utf8_lossy(&second.stderr).contains("another daemon already answers"), "{second:?}");
+    assert!(String::from_utf8_lossy(&second.stderr).contains("another program already answers"), "{second:?}");
     assert!(daemon.stop().success());
     assert!(!user.file("ctl.sock").exists(), "the socket is removed");
 }
 
 #[test]
-fn a_socket_left_by_a_crash_is_replaced_and_is_for_its_user_only() {
+fn a_socket_left_by_a_crash_is_replaced_and_is_for_its_user_and_group() {
     use std::os::unix::fs::PermissionsExt;
     let user = User::new();
     drop(Daemon::start(&user));
     assert!(user.file("ctl.sock").exists(), "killed, it could not remove it");
     let _daemon = Daemon::start(&user);
-    assert_eq!(std::fs::metadata(user.file("ctl.sock")).unwrap().permissions().mode() & 0o777, 0o600);
+    assert_eq!(std::fs::metadata(user.file("ctl.sock")).unwrap().permissions().mode() & 0o777, 0o660);
 }
 
 #[test]

@@ -17,6 +17,7 @@ mod grants;
 mod hostile_text;
 mod inboxes;
 mod member;
+mod metrics;
 mod owner;
 mod ports;
 mod probes;

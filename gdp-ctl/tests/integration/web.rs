@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
+use gdp::unstable::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};

@@ -62,7 +62,7 @@ pub fn manager(node: Node) -> Links {
     Manager::new(move |plan: &CatalogPlan| CatalogLink {
         plan: plan.clone(),
         node: node.clone(),
-        route_status: RouteStatus::new("catalog".into(), plan.card.name(), None),
+        route_status: RouteStatus::new("catalog".into(), plan.card.name(), None, None),
     })
 }
 

@@ -127,6 +127,8 @@ pub struct CallStats {
     pub status: String,
     /// What is missing for messages to flow; null if nothing is.
     pub waiting_for: Option<Waiting>,
+    /// When the certificate ends, in Unix seconds; null if that is not known.
+    pub certificate_until: Option<u64>,
     pub direction: Side,
     pub name: Name,
     #[serde(flatten)]

@@ -76,7 +76,12 @@ impl Carries for Route {
             graph: graph.into(),
             types,
             counters: CallCounters::default(),
-            route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
+            route_status: RouteStatus::new(
+                Self::title(config),
+                material.card.name(),
+                kind,
+                material.permission.until(),
+            ),
             unfit_until: Mutex::new(None),
         }
     }
@@ -93,6 +98,7 @@ impl Carries for Route {
             kind: self.route_status.kind(),
             status: self.route_status.status(),
             waiting_for: self.route_status.waiting_for(),
+            certificate_until: self.route_status.certificate_until(),
             direction: self.config.side,
             name: self.route_status.name(),
             counted: self.counters.read(),

@@ -19,6 +19,7 @@ mod topics;
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::net::SocketAddr;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
@@ -98,9 +99,22 @@ pub struct Config {
     /// Definitions of message types beyond the common ones.
     #[serde(default)]
     pub definitions: Definitions,
-    /// Publishes the status of each topic on `/diagnostics` in each graph.
-    #[serde(default)]
+    /// Publishes the status of each topic on `/diagnostics` in each graph. On by default.
+    #[serde(default = "yes")]
     pub diagnostics: bool,
+    /// The path of the admin socket, which `gdp-ctl status` and `top` ask. By default
+    /// `/run/gdp/proxy.sock` for root, else `$XDG_RUNTIME_DIR/gdp/proxy.sock`.
+    #[serde(default)]
+    pub socket: Option<PathBuf>,
+    /// Address and port of metrics in OpenMetrics, such as `127.0.0.1:9405`, or a port alone for
+    /// loopback. Off by default.
+    #[serde(default, deserialize_with = "metrics_address")]
+    #[schemars(with = "Option<String>")]
+    pub metrics: Option<SocketAddr>,
+    /// File of the token that a scrape needs: `Authorization: Bearer TOKEN`. An address that other
+    /// machines reach needs one.
+    #[serde(default)]
+    pub metrics_token: Option<PathBuf>,
     /// The topics to carry, with their files.
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
@@ -277,6 +291,9 @@ impl Config {
             ("crypto", new.crypto.is_some_and(|new| new != Backend::selected())),
             ("relay", self.relay != new.relay),
             ("definitions", self.definitions != new.definitions),
+            ("socket", self.socket != new.socket),
+            ("metrics", self.metrics != new.metrics),
+            ("metrics_token", self.metrics_token != new.metrics_token),
         ];
         let differs = differs.into_iter().find_map(|(key, differs)| differs.then(|| key.to_owned()));
         let stays = |(name, graph): &(&str, &GraphConfig)| new.graphs.get(Some(name)).is_ok_and(|(_, it)| it == *graph);
@@ -379,7 +396,8 @@ impl Config {
         let Definitions { ros1, ros2 } = &mut self.definitions;
         // `join` leaves absolute paths unchanged.
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
-        ros1.iter_mut().chain(ros2).chain(&mut self.state).for_each(resolve);
+        let kept = self.state.iter_mut().chain(&mut self.socket).chain(&mut self.metrics_token);
+        ros1.iter_mut().chain(ros2).chain(kept).for_each(resolve);
         self.files().for_each(resolve);
     }
 
@@ -409,6 +427,15 @@ impl Config {
             .chain(imports)
             .chain(calls)
     }
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn metrics_address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
+    let text = Option::<String>::deserialize(deserializer)?;
+    text.map(|text| gdp_http::parse_address(&text)).transpose().map_err(de::Error::custom)
 }
 
 fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D::Error> {

@@ -83,7 +83,12 @@ impl Carries for Route {
             side: material.permission.side(),
             types,
             counters: Arc::default(),
-            route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
+            route_status: RouteStatus::new(
+                Self::title(config),
+                material.card.name(),
+                kind,
+                material.permission.until(),
+            ),
             publishers_elsewhere: AtomicUsize::new(0),
             fabric: Mutex::new(FabricCounters::None),
         }
@@ -100,6 +105,7 @@ impl Carries for Route {
             kind: self.route_status.kind(),
             status: self.route_status.status(),
             waiting_for: self.route_status.waiting_for(),
+            certificate_until: self.route_status.certificate_until(),
             direction: self.side,
             name: self.route_status.name(),
             fabric: self.fabric().read(),

@@ -32,6 +32,7 @@ async fn what_was_counted_is_known_of_the_routes_that_are_there() {
         kind: None,
         status: "up".into(),
         waiting_for: None,
+        certificate_until: None,
         direction: Side::Out,
         name: entity,
         fabric: FabricStats::None,

@@ -14,8 +14,9 @@ use crate::tally::Reason;
 
 /// Of version 5.
 const KEYS: [&str; 10] = [
-    "calls catalogs directory entity links node switch topics version",
-    "bytes bytes_carried direct direction drops fabric graph latency_us messages name status topic type waiting_for",
+    "calls catalogs directory entity links member_error member_until node switch topics version",
+    "bytes bytes_carried certificate_until direct direction drops fabric graph latency_us messages name status topic type \
+     waiting_for",
     "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable \
      write_failed",
     "arrival handling",
@@ -27,8 +28,8 @@ const KEYS: [&str; 10] = [
      repeated replaced slowed",
     "abandoned beyond delivered drops duplicates expired incompatible_writers overtaken \
      queue_full repeats",
-    "answers answers_by_other calls calls_replicated copies_cancelled direction events events_dropped failures graph \
-     name pending servers service status type waiting_for what",
+    "answers answers_by_other calls calls_replicated certificate_until copies_cancelled direction events \
+     events_dropped failures graph name pending servers service status type waiting_for what",
 ];
 
 #[test]
@@ -51,6 +52,7 @@ fn route(name: Name, counters: &RouteCounters) -> RouteStats {
         kind: None,
         status: "up".into(),
         waiting_for: None,
+        certificate_until: None,
         direction: Side::Out,
         name,
         fabric: FabricStats::None,
@@ -82,6 +84,7 @@ fn the_keys_are_those_of_the_version() {
         kind: None,
         status: "up".into(),
         waiting_for: None,
+        certificate_until: None,
         direction: Side::In,
         name,
         counted: Default::default(),
@@ -91,6 +94,8 @@ fn the_keys_are_those_of_the_version() {
         version: VERSION,
         entity: name,
         switch: None,
+        member_until: None,
+        member_error: None,
         topics,
         directory: None,
         catalogs: vec![],
@@ -115,6 +120,18 @@ fn the_keys_are_those_of_the_version() {
         keys(&shown["calls"][0]),
     ];
     assert_eq!((VERSION, found), (5, KEYS.map(str::to_owned)));
+    // The admin socket has the same object.
+    let fabrics = [
+        FabricStats::None,
+        FabricStats::Out(PublisherCounters::default()),
+        FabricStats::In(SubscriptionCounters::default()),
+    ];
+    for fabric in fabrics {
+        let mut shown = shown.clone();
+        shown["topics"][0]["fabric"] = serde_json::to_value(fabric).unwrap();
+        let reply: gdp_proto::admin::proxy::ProxyReply = serde_json::from_value(shown.clone()).unwrap();
+        assert_eq!(serde_json::to_value(reply).unwrap(), shown);
+    }
 }
 
 #[test]
@@ -132,6 +149,8 @@ fn the_file_is_whole_and_says_what_happened() {
             entity: name,
 
             switch: None,
+            member_until: None,
+            member_error: None,
             topics,
             catalogs: Vec::new(),
             directory: None,

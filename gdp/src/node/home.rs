@@ -57,6 +57,13 @@ impl Home {
         }
     }
 
+    /// Returns when the node's own membership ends, in Unix seconds, or why it is not valid. `None`
+    /// without a domain.
+    pub fn member_until(&self) -> Option<Result<u64, DomainError>> {
+        let own = self.trust.as_ref()?.lock().own(unix_seconds());
+        Some(own.map(|member| member.not_after))
+    }
+
     /// Replaces the credentials. A node without credentials stays without.
     pub fn renew(&self, credentials: Arc<Credentials>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {

@@ -78,6 +78,8 @@ impl Site {
             domain: None,
             public: Vec::new(),
             etcd: None,
+            metrics: None,
+            metrics_token: None,
             crypto: None,
             rekey: RekeySchedule::default(),
         };

@@ -156,7 +156,7 @@ fn capabilities_and_not_root_decide_what_is_possible() -> Result<()> {
     chown(site.file("notify"), Some(NOBODY), Some(NOBODY))?;
     let mut granted = site.as_nobody(&capabilities_of_the_unit()?)?;
     let daemon = site.start({
-        granted.args(["--interface", "e1", "--group-socket"]);
+        granted.args(["--interface", "e1"]);
         granted.env("NOTIFY_SOCKET", site.file("notify")).env("WATCHDOG_USEC", "1000000");
         granted
     })?;

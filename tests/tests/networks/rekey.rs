@@ -93,6 +93,8 @@ impl Scene {
                 domain: None,
                 public: Vec::new(),
                 etcd: None,
+                metrics: None,
+                metrics_token: None,
                 crypto: None,
                 rekey: OFTEN,
             };

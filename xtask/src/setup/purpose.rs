@@ -54,6 +54,8 @@ pub enum SetupPart {
     Dpdk,
     /// Run replicas of a RIB.
     Etcd,
+    /// Check metrics and alert rules.
+    Promtool,
     /// Compile the client of etcd.
     EtcdClient,
     /// Run foreign DDS programs against this project's.
@@ -90,16 +92,17 @@ impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
             Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces, Packages,
-            Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
+            Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
-            Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
-            Self::Test => {
-                &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python, Browser]
-            }
+            Self::Unit => &[Workspace, Git, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
+            Self::Test => &[
+                Workspace, Git, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
+                Browser,
+            ],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
@@ -110,8 +113,8 @@ impl Purpose {
             Self::Boot => &[Workspace, Ebpf, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
-                Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-                Browser, Eval, Fresh, Packages, Qemu,
+                Workspace, Git, Promtool, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2,
+                Python, Browser, Eval, Fresh, Packages, Qemu,
             ],
         }
     }

@@ -152,6 +152,21 @@ pub const STEPS: &[SetupStep] = &[
         ..NOTHING
     },
     SetupStep {
+        part: SetupPart::Promtool,
+        what: "promtool of Prometheus",
+        why: "tests check the alert rules and the metrics of both programs with it; only this program of Debian's \
+              package is taken, so that no service starts",
+        programs: &[Program::Promtool],
+        commands: &[
+            "mkdir -p \"$GDP_TARGET/promtool\"",
+            "cd \"$GDP_TARGET/promtool\" && apt-get download prometheus && dpkg-deb -x prometheus_*.deb . \
+             && install -D usr/bin/promtool \"${CARGO_HOME:-$HOME/.cargo}/bin/promtool\"",
+            "rm -r \"$GDP_TARGET/promtool\"",
+        ],
+        elsewhere: "install promtool of Prometheus 2.42 or later",
+        ..NOTHING
+    },
+    SetupStep {
         part: SetupPart::EtcdClient,
         what: "protoc with the files that it comes with",
         why: "the build script of `etcd-client` compiles etcd's interface with it; a switch without the cargo \

@@ -1,11 +1,10 @@
-//! The admin socket: a Unix socket for the user who runs the daemon. Each line is one JSON object,
-//! in both directions; see [`gdp_proto::admin`]. Length and number of requests are bounded.
+//! The admin socket. Each line is one JSON object, in both directions; see [`gdp_proto::admin`].
 
-use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use futures::stream;
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_proto::admin::links::LinksReply;
 use gdp_proto::admin::trace::{
@@ -13,144 +12,47 @@ use gdp_proto::admin::trace::{
 };
 use gdp_proto::admin::words::Outcome;
 use gdp_proto::control::{Crossing, RefusalCode, Response, TracedDomain, TracedEnd, TracedSwitch};
-use gdp_util::line_limit::LineLimit;
-use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::net::{UnixListener, UnixStream};
-use tokio::sync::Semaphore;
-use tokio::time::timeout;
+use gdp_util::line_socket::{self, Answer, Answering, Listening, SocketError, Unanswered};
 
 use super::core::probes::Location;
 use super::daemon::Daemon;
 use super::entity_requests::{self, Origin};
-use super::events::Listener;
 use super::status;
 use super::trace::Hop;
-use gdp_proto::admin::{MAX_REQUEST, PAGE, Reply, Request, reply_line};
+use gdp_proto::admin::{MAX_REQUEST, PAGE, Reply, Request, refusal_line, reply_line};
 
-/// The maximum number of connected clients.
-const MAX_CLIENTS: usize = 32;
-
-/// The maximum idle time of a client before its connection closes.
-const IDLE: Duration = Duration::from_secs(30);
-
-#[derive(Debug, thiserror::Error)]
-pub enum AdminError {
-    #[error("another daemon already answers at {}; stop it, or choose another socket", .0.display())]
-    InUse(PathBuf),
-    #[error("{} exists and is not a socket; remove it, or choose another socket", .0.display())]
-    NotASocket(PathBuf),
-    #[error("cannot open the admin socket {}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+/// Opens the socket, and serves it until the daemon ends.
+pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, SocketError> {
+    let (listening, listener) = line_socket::listen(path)?;
+    daemon.spawn(line_socket::serve(listener, Admin(daemon.clone())));
+    Ok(listening)
 }
 
-/// The socket file. Dropping this removes it.
-pub struct Listening(PathBuf);
+struct Admin(Arc<Daemon>);
 
-impl Drop for Listening {
-    fn drop(&mut self) {
-        if let Err(error) = std::fs::remove_file(&self.0) {
-            tracing::debug!(%error, "the admin socket was already gone");
-        }
-    }
-}
+impl Answering for Admin {
+    const MAX_LINE: usize = MAX_REQUEST;
 
-/// Opens the socket for this process's user, and for its group if `is_for_group`. Replaces the file of a crashed daemon.
-pub fn listen(daemon: &Arc<Daemon>, path: &Path, is_for_group: bool) -> Result<Listening, AdminError> {
-    let io = |source| AdminError::Io { path: path.into(), source };
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(io)?;
-    }
-    match std::fs::symlink_metadata(path) {
-        Ok(found) if !found.file_type().is_socket() => return Err(AdminError::NotASocket(path.into())),
-        Ok(_) if std::os::unix::net::UnixStream::connect(path).is_ok() => return Err(AdminError::InUse(path.into())),
-        Ok(_) => std::fs::remove_file(path).map_err(io)?,
-        Err(_) => {}
-    }
-    let mode = if is_for_group { 0o660 } else { 0o600 };
-    // Set the mode before the socket has its public path.
-    let fresh = path.with_extension(format!("{}.new", std::process::id()));
-    let _ = std::fs::remove_file(&fresh);
-    let listener = UnixListener::bind(&fresh).map_err(io)?;
-    std::fs::set_permissions(&fresh, std::fs::Permissions::from_mode(mode)).map_err(io)?;
-    std::fs::rename(&fresh, path).map_err(io)?;
-    daemon.spawn(accept(daemon.clone(), listener));
-    Ok(Listening(path.into()))
-}
-
-async fn accept(daemon: Arc<Daemon>, listener: UnixListener) {
-    let clients = Arc::new(Semaphore::new(MAX_CLIENTS));
-    let warnings = LineLimit::new(1, Duration::from_secs(60));
-    loop {
-        let Ok(permit) = clients.clone().acquire_owned().await else { return };
-        match listener.accept().await {
-            Ok((stream, _)) => {
-                let served = daemon.clone();
-                daemon.spawn(async move {
-                    if let Err(error) = serve(&served, stream).await {
-                        tracing::debug!(%error, "an admin client went away");
-                    }
-                    drop(permit);
-                });
-            }
-            Err(error) => {
-                if let Some(suppressed) = warnings.take(Instant::now()) {
-                    tracing::warn!(%error, suppressed, "cannot accept an admin client");
-                }
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        }
-    }
-}
-
-async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> {
-    let (reader, mut writer) = stream.into_split();
-    let mut reader = BufReader::new(reader);
-    let mut line = Vec::new();
-    loop {
-        line.clear();
-        let mut bounded = (&mut reader).take(MAX_REQUEST as u64 + 1);
-        let read = timeout(IDLE, bounded.read_until(b'\n', &mut line)).await;
-        if !matches!(read, Ok(Ok(length)) if length > 0) {
-            return Ok(());
-        }
-        let too_long = line.len() > MAX_REQUEST;
-        let request = match too_long {
-            true => Err(format!("a request longer than {MAX_REQUEST} bytes")),
-            false => gdp_proto::admin::parse_request(&line),
-        };
-        let reply = match request {
+    async fn answer(&self, line: Vec<u8>) -> Answer {
+        let Self(daemon) = self;
+        let reply = match gdp_proto::admin::parse_request(&line) {
             Ok(Request::Monitor) => {
                 let listener = daemon.core().events.listen();
-                writer.write_all(reply_line(&Reply::Monitoring).as_bytes()).await?;
-                return monitor(listener, reader, writer).await;
+                let lines = stream::unfold(listener, async |mut listener| {
+                    let event = listener.next().await?;
+                    Some((reply_line(&Reply::Event(event)), listener))
+                });
+                return Answer::Watch { first: reply_line(&Reply::Monitoring), lines: Box::pin(lines) };
             }
             Ok(request) => answer(daemon, request).await,
             Err(reason) => malformed(&reason),
         };
-        timeout(IDLE, writer.write_all(reply_line(&reply).as_bytes())).await??;
-        if too_long {
-            return Ok(());
-        }
+        Answer::Line(reply_line(&reply))
     }
-}
 
-/// Writes one event per line until the client closes the connection or sends more. A client that
-/// does not read delays only itself.
-async fn monitor(
-    mut events: Listener,
-    mut reader: BufReader<OwnedReadHalf>,
-    mut writer: OwnedWriteHalf,
-) -> std::io::Result<()> {
-    let tell = async {
-        while let Some(event) = events.next().await {
-            writer.write_all(reply_line(&Reply::Event(event)).as_bytes()).await?;
-        }
-        Ok(())
-    };
-    tokio::select! {
-        result = tell => result,
-        closed = reader.fill_buf() => closed.map(drop),
+    fn refuse(&self, why: Unanswered) -> String {
+        let code = if let Unanswered::TooLong(_) = why { RefusalCode::Malformed } else { RefusalCode::Limit };
+        refusal_line(code, &why.to_string())
     }
 }
 

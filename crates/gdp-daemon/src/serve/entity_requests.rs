@@ -46,7 +46,8 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
     let response = taken_in.await;
     if let (Some(link), Response::Refused(refusal), true) = (link, &response, registers) {
         let refusals = &mut daemon.core().switch.recent_refusals;
-        refusals.add(link.peer().name, RefusedThing::Registration, &refusal.reason, Instant::now());
+        let code = Some(refusal.code);
+        refusals.add(link.peer().name, RefusedThing::Registration, code, &refusal.reason, Instant::now());
     }
     if let (Some(link), Response::Attached { .. }) = (attaching, &response) {
         let mut core = daemon.core();

@@ -25,6 +25,7 @@ mod inspection;
 pub mod interfaces;
 mod links;
 mod liveness;
+pub mod metrics;
 mod peering;
 mod port_owner;
 mod ports;
@@ -48,9 +49,11 @@ use std::time::Duration;
 
 use gdp_core::identity::Identity;
 use gdp_dataplane::{PinLocation, PlaneConfig, Planes, Wanted, host_pair};
+use gdp_http::Listener;
 use gdp_link::link::LinkIds;
 use gdp_link::port::{Port, PortConfig};
 use gdp_link::tunnel::TlsListener;
+use gdp_util::line_socket::Listening;
 use gdp_util::ticks::next_tick;
 use gdp_wire::Name;
 
@@ -71,7 +74,7 @@ const FOLLOW: Duration = Duration::from_millis(500);
 pub struct Running {
     daemon: Arc<Daemon>,
     udp: Option<Arc<Port>>,
-    admin: admin::Listening,
+    admin: Listening,
     ready: Ready,
 }
 
@@ -117,7 +120,9 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     };
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
-    let admin = admin::listen(&daemon, &config.socket, config.group_socket)?;
+    let admin = admin::listen(&daemon, &config.socket)?;
+    let metrics = config.metrics.map(|address| gdp_http::metrics::listen(address, config.metrics_token.as_deref()));
+    let metrics = metrics.transpose()?;
     config.udp.map_or(Ok(()), port_owner::expect_free)?;
     let mut opened = Vec::new();
     for name in &interfaces {
@@ -156,6 +161,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         no_xdp: None,
         in_userspace: no_pair.into_iter().collect(),
         socket: config.socket.clone(),
+        metrics: metrics.as_ref().map(Listener::address),
     };
     for (name, port) in interfaces.iter().zip(&opened) {
         if port.is_some() { &mut ready.ethernet } else { &mut ready.awaited }.push(name.clone());
@@ -172,6 +178,9 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     }
     if let Some((listener, udp)) = tls.zip(udp_addr) {
         daemon.spawn(listener.run(udp, daemon.tunnels.clone()));
+    }
+    if let Some(listener) = metrics {
+        metrics::serve(&daemon, listener);
     }
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));

@@ -194,7 +194,7 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     if let Err(reason) = links::take(daemon, link, via.clone()).await {
         let is_new = {
             let switch = &mut daemon.core().switch;
-            switch.recent_refusals.add(peer, RefusedThing::Link, &reason, std::time::Instant::now());
+            switch.recent_refusals.add(peer, RefusedThing::Link, None, &reason, std::time::Instant::now());
             switch.refused(peer, &via, &reason)
         };
         if is_new {

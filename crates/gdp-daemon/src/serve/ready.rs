@@ -26,6 +26,8 @@ pub struct Ready {
     /// What the userspace plane handles instead of XDP, and why.
     pub in_userspace: Vec<String>,
     pub socket: PathBuf,
+    /// The address that serves metrics, if any.
+    pub metrics: Option<SocketAddr>,
 }
 
 impl Ready {
@@ -58,6 +60,7 @@ impl Ready {
         parts.extend(self.tls.map(|tls| format!("links over TLS: on TCP {tls}")));
         parts.extend([format!("links on Ethernet: {}", self.on_ethernet(command)), self.by_plane(command)]);
         parts.extend(self.in_userspace.iter().map(|what| format!("in userspace: {what}")));
+        parts.extend(self.metrics.map(|metrics| format!("metrics: on http://{metrics}{}", gdp_http::metrics::PATH)));
         parts.push(format!("admin socket: {}", self.socket.display()));
         format!("ready: {}", parts.join("; "))
     }

@@ -1,11 +1,13 @@
 //! What was refused in the last minute, by peer: links and registrations. `gdp-ctl status` shows
 //! it. Any peer may cause refusals, so their number and the length of a reason are bounded.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
+use gdp_proto::admin::links::Counts;
 use gdp_proto::admin::status::RecentRefusal;
 use gdp_proto::admin::words::RefusedThing;
+use gdp_proto::control::RefusalCode;
 use gdp_wire::Name;
 
 /// The maximum number of peers to remember, once for each thing. The oldest make room.
@@ -22,6 +24,8 @@ const SLOT: Duration = Duration::from_secs(10);
 pub struct RecentRefusals {
     start: Instant,
     entries: HashMap<(Name, &'static str), Refusals>,
+    /// All refusals since the start, by thing and kind. Both are of closed sets.
+    total: BTreeMap<&'static str, Counts>,
 }
 
 #[derive(Debug)]
@@ -36,10 +40,13 @@ struct Refusals {
 
 impl RecentRefusals {
     pub fn new(start: Instant) -> Self {
-        Self { start, entries: HashMap::new() }
+        Self { start, entries: HashMap::new(), total: BTreeMap::new() }
     }
 
-    pub fn add(&mut self, peer: Name, what: RefusedThing, reason: &str, now: Instant) {
+    /// Records a refusal. Registrations have a code, links only a reason.
+    pub fn add(&mut self, peer: Name, what: RefusedThing, code: Option<RefusalCode>, reason: &str, now: Instant) {
+        let kind = code.map_or_else(|| "NotAdmitted".to_owned(), |code| format!("{code:?}"));
+        *self.total.entry(what.as_str()).or_default().entry(kind).or_default() += 1;
         let (key, slot) = ((peer, what.as_str()), self.slot(now));
         self.entries.retain(|_, entry| entry.count(slot) > 0);
         if self.entries.len() >= MAX_ENTRIES && !self.entries.contains_key(&key) {
@@ -68,6 +75,11 @@ impl RecentRefusals {
             age_s: now.saturating_duration_since(entry.at).as_secs(),
         };
         all.into_iter().map(output).collect()
+    }
+
+    /// Returns the refusals since the start, by thing and code.
+    pub fn total(&self) -> BTreeMap<String, Counts> {
+        self.total.iter().map(|(what, counts)| ((*what).to_owned(), counts.clone())).collect()
     }
 
     fn slot(&self, now: Instant) -> u64 {

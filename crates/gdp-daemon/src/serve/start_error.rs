@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use gdp_core::secret_file::SecretFileError;
 use gdp_dataplane::PlaneError;
+use gdp_http::HttpError;
 use gdp_link::link::LinkError;
+use gdp_util::line_socket::SocketError;
 
-use super::admin::AdminError;
 use super::domain_store::MembershipError;
 use crate::store::StoreError;
 
@@ -36,7 +37,9 @@ pub enum StartError {
     #[error("cannot listen for TLS on TCP {addr}: {source}; choose another address or port with `tls:`")]
     Tls { addr: SocketAddr, source: std::io::Error },
     #[error(transparent)]
-    Admin(#[from] AdminError),
+    Admin(#[from] SocketError),
+    #[error("metrics: {0}")]
+    Metrics(#[from] HttpError),
     #[error(transparent)]
     Store(#[from] StoreError),
 }

@@ -94,6 +94,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
         links: links(daemon, &core),
         links_in_grace: links_in_grace(&core),
         refused: core.switch.recent_refusals.all(Instant::now()),
+        refused_total: core.switch.recent_refusals.total(),
         handshakes: handshakes(daemon.port_config.handshakes.read()),
         counters,
         counters_by_plane,

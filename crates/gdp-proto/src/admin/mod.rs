@@ -1,4 +1,5 @@
-//! What commands and the daemon say to each other over the admin socket, a JSON object to a line.
+//! What commands and the daemon say to each other over the admin socket, a JSON object to a line. A
+//! proxy has such a socket too, and answers `status` alone.
 //!
 //! A request is `{"v":2,"op":…}`, and a reply `{"v":2,REPLY:…}`, where REPLY names what follows:
 //! `status`, `links` …, `control` or `error`. Types only: the daemon serves, the command line asks.
@@ -7,18 +8,20 @@
 pub mod error;
 pub mod event;
 pub mod links;
+pub mod proxy;
 pub mod status;
 pub mod tables;
 pub mod topology;
 pub mod trace;
 pub mod words;
 
-use crate::control::{EntityRequest, RecordKey, Response};
+use crate::control::{EntityRequest, RecordKey, RefusalCode, Response};
 use error::{ErrorCode, ErrorReply};
 use event::TimedEvent;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 use links::{LinksReply, PeersReply};
+use proxy::ProxyReply;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -45,6 +48,7 @@ pub const PAGE: usize = 1000;
 pub enum Request {
     /// Which switch this is, and where it takes links over UDP.
     Hello,
+    /// The state of a switch, or of a proxy at its own socket.
     Status,
     Links,
     /// Those that this switch has, or is to have, links with, and why there is none.
@@ -134,6 +138,7 @@ replies! {
     Topology(TopologyReply),
     Fib(FibReply),
     Rib(RibReply),
+    Proxy(Box<ProxyReply>),
     Control(Response),
     Error(ErrorReply),
 }
@@ -154,6 +159,11 @@ pub fn reply_line(reply: &Reply) -> String {
     });
     // Texts and numbers are always JSON.
     line.unwrap_or_default() + "\n"
+}
+
+/// The line for a client whose request is not answered.
+pub fn refusal_line(code: RefusalCode, reason: &str) -> String {
+    reply_line(&Reply::Error(ErrorReply::new(ErrorCode::Refused(code), reason)))
 }
 
 /// An object with the version of its form.

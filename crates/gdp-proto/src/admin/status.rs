@@ -39,6 +39,8 @@ pub struct StatusReply {
     pub handshakes: Handshakes,
     /// Refused links and registrations of the last minute, at most 64; the latest first.
     pub refused: Vec<RecentRefusal>,
+    /// All refusals since the daemon started: links and registrations, by code.
+    pub refused_total: BTreeMap<String, Counts>,
     /// Of all data planes together.
     pub counters: Counts,
     /// Each counter by data plane: `kernel` or `dpdk`, and `userspace`.

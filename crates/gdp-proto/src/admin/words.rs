@@ -116,3 +116,24 @@ impl From<&Relationship> for PeerRelationship {
         }
     }
 }
+
+words! {
+    /// Which way a proxy carries a topic, seen from its ROS graph.
+    TopicDirection {
+        /// From the graph into the fabric.
+        Out = "out",
+        In = "in",
+    }
+}
+
+words! {
+    /// The state of an endpoint's link.
+    FabricLinkState {
+        Up = "up",
+        /// The link is up, but the switch has not answered the latest echoes.
+        Silent = "silent",
+        /// The switch became silent; its data plane may continue to forward.
+        Stale = "stale",
+        Down = "down",
+    }
+}

@@ -20,7 +20,8 @@ use super::view::{self, MAX_ROWS, Names};
 use crate::cli::context::Context;
 use crate::cli::home::{HomeOptions, RobotsOutput, robots_of};
 use crate::client::Client;
-use crate::ros::keyring::{Keyring, called};
+use gdp::Keyring;
+use gdp::unstable::called;
 
 /// Age up to which a snapshot serves further requests.
 const FRESH: Duration = Duration::from_millis(900);

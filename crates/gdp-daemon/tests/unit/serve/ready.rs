@@ -18,6 +18,7 @@ fn ready(planes: Vec<InterfacePlane>) -> Ready {
         no_xdp: None,
         in_userspace: vec![],
         socket: "/run/gdp/ctl.sock".into(),
+        metrics: None,
     }
 }
 

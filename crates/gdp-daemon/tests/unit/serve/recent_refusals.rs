@@ -12,18 +12,20 @@ fn refusals_are_counted_for_a_minute_by_peer_and_thing() {
     let at = |seconds| start + Duration::from_secs(seconds);
     let mut refusals = RecentRefusals::new(start);
     for second in [1, 2, 30] {
-        refusals.add(name(1), RefusedThing::Link, &format!("no membership at {second}"), at(second));
+        refusals.add(name(1), RefusedThing::Link, None, &format!("no membership at {second}"), at(second));
     }
-    refusals.add(name(1), RefusedThing::Registration, "revoked", at(31));
+    refusals.add(name(1), RefusedThing::Registration, Some(RefusalCode::Revoked), "revoked", at(31));
     let all = refusals.all(at(40));
     let shown: Vec<_> = all.iter().map(|it| (it.what.as_str(), it.count, it.reason.as_str(), it.age_s)).collect();
     assert_eq!(shown, [("registration", 1, "revoked", 9), ("link", 3, "no membership at 30", 10)]);
     assert_eq!(refusals.all(at(65)).iter().map(|it| it.count).collect::<Vec<_>>(), [1, 1], "two are over");
     assert_eq!(refusals.all(at(95)), []);
-    refusals.add(name(1), RefusedThing::Link, "again", at(300));
+    refusals.add(name(1), RefusedThing::Link, None, "again", at(300));
     assert_eq!(refusals.all(at(300))[0].count, 1);
-    refusals.add(name(1), RefusedThing::Link, "the clock went back", at(10));
+    refusals.add(name(1), RefusedThing::Link, None, "the clock went back", at(10));
     assert_eq!(refusals.all(at(300))[0].count, 2, "which is no reason to forget");
+    let total = |what: &str, kind: &str| refusals.total()[what][kind];
+    assert_eq!((total("link", "NotAdmitted"), total("registration", "Revoked")), (5, 1), "since the start");
 }
 
 #[test]
@@ -32,7 +34,7 @@ fn a_flood_of_peers_and_long_reasons_are_bounded() {
     let mut refusals = RecentRefusals::new(start);
     for i in 0..200u8 {
         let at = start + Duration::from_millis(u64::from(i));
-        refusals.add(name(i), RefusedThing::Link, &"é".repeat(1000), at);
+        refusals.add(name(i), RefusedThing::Link, None, &"é".repeat(1000), at);
     }
     let all = refusals.all(start);
     assert_eq!((all.len(), all[0].peer), (MAX_ENTRIES, name(199)));
