@@ -1,11 +1,14 @@
 """Sessions with asyncio, over the extension module."""
 
+import atexit
 import json
 import os
 from dataclasses import dataclass
 from typing import Any
 
 from . import _gdp
+
+atexit.register(_gdp.finish)
 
 
 class _Attaching:
