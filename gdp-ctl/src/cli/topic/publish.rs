@@ -10,7 +10,7 @@ use gdp_e2e::seal::Draft;
 use gdp_msg::{Base, Encoding, TypeName};
 use gdp_ros::encoder::{EncodeError, Encoder};
 use gdp_ros::qos_mapping;
-use gdp_ros::roster::{self, Dialect, Kind, Offer, Outgoing};
+use gdp_ros::roster::{self, Offer, Outgoing};
 use gdp_ros::types::{Types, sealed};
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
