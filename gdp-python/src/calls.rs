@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use crate::runtime::awaitable;
 use gdp::{Client, IncomingCall, Server};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
 use crate::errors::raised;
@@ -20,7 +20,7 @@ pub struct NativeClient(pub Client);
 impl NativeClient {
     fn call<'py>(&self, py: Python<'py>, request: Payload) -> PyResult<Bound<'py, PyAny>> {
         let client = self.0.clone();
-        future_into_py(py, async move { Ok(NativeSample(client.call(request).await.map_err(raised)?)) })
+        awaitable(py, async move { Ok(NativeSample(client.call(request).await.map_err(raised)?)) })
     }
 
     #[getter]
@@ -51,7 +51,7 @@ impl NativeServer {
 impl NativeServer {
     fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let server = self.server.clone();
-        future_into_py(py, async move {
+        awaitable(py, async move {
             let call = server.lock().await.recv().await.map_err(raised)?;
             Ok(call.map(|call| NativeCall(std::sync::Mutex::new(Some(call)))))
         })
@@ -88,6 +88,6 @@ impl NativeCall {
 
     fn reply<'py>(&self, py: Python<'py>, payload: Payload) -> PyResult<Bound<'py, PyAny>> {
         let call = self.with(Option::take)?;
-        future_into_py(py, async move { call.reply(payload).await.map_err(raised) })
+        awaitable(py, async move { call.reply(payload).await.map_err(raised) })
     }
 }

@@ -9,6 +9,7 @@ mod calls;
 mod convert;
 mod errors;
 mod ros;
+mod runtime;
 mod session;
 mod topics;
 
@@ -19,6 +20,7 @@ use pyo3::prelude::*;
 fn _gdp(module: &Bound<'_, PyModule>) -> PyResult<()> {
     errors::add(module)?;
     module.add_function(wrap_pyfunction!(session::open, module)?)?;
+    module.add_function(wrap_pyfunction!(runtime::finish, module)?)?;
     module.add_class::<session::NativeSession>()?;
     module.add_class::<topics::NativePublisher>()?;
     module.add_class::<topics::NativeSubscriber>()?;

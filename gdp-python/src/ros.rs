@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
+use crate::runtime::awaitable;
 use gdp_ros::sdk::{DynamicPublisher, DynamicSubscriber};
 use pyo3::prelude::*;
-use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
 use crate::convert::seconds;
@@ -20,17 +20,17 @@ impl NativeRosPublisher {
     /// Sends a message that is written in YAML or JSON.
     fn put_text<'py>(&self, py: Python<'py>, values: String) -> PyResult<Bound<'py, PyAny>> {
         let publisher = self.0.clone();
-        future_into_py(py, async move { publisher.put_text(&values).await.map_err(ros_raised) })
+        awaitable(py, async move { publisher.put_text(&values).await.map_err(ros_raised) })
     }
 
     fn flush<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Bound<'py, PyAny>> {
         let (publisher, timeout) = (self.0.publisher().clone(), seconds(timeout)?);
-        future_into_py(py, async move { publisher.flush(timeout).await.map_err(raised) })
+        awaitable(py, async move { publisher.flush(timeout).await.map_err(raised) })
     }
 
     fn wait_for_readers<'py>(&self, py: Python<'py>, readers: usize) -> PyResult<Bound<'py, PyAny>> {
         let publisher = self.0.publisher().clone();
-        future_into_py(py, async move { publisher.wait_for_readers(readers).await.map_err(raised) })
+        awaitable(py, async move { publisher.wait_for_readers(readers).await.map_err(raised) })
     }
 
     #[getter]
@@ -53,7 +53,7 @@ impl NativeRosSubscriber {
     /// Returns type, JSON text, source and time of the next message, or nothing at the end.
     fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let subscriber = self.0.clone();
-        future_into_py(py, async move {
+        awaitable(py, async move {
             let received = subscriber.lock().await.recv().await.map_err(ros_raised)?;
             Ok(received.map(|message| {
                 let time = message.time.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
+use crate::runtime::awaitable;
 use gdp::{Config, Keyring, Session};
 use gdp_ros::sdk::RosSession as _;
 use pyo3::prelude::*;
-use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
 use crate::calls::{NativeClient, NativeServer};
@@ -25,7 +25,7 @@ pub fn open(
     timeout: f64,
 ) -> PyResult<Bound<'_, PyAny>> {
     let timeout = seconds(timeout)?;
-    future_into_py(py, async move {
+    awaitable(py, async move {
         let keyring = keyring.map_or_else(Keyring::default_folder, Ok).map_err(|error| raised(error.into()))?;
         let mut config = Config::new(keyring);
         if let Some(switch) = switch {
@@ -61,23 +61,23 @@ impl NativeSession {
     ) -> PyResult<Bound<'py, PyAny>> {
         let builder = self.0.publisher(topic).latched(latched).encoding(parse_encoding(encoding)?);
         let builder = if reliable { builder.reliable() } else { builder };
-        future_into_py(py, async move { Ok(NativePublisher(builder.await.map_err(raised)?)) })
+        awaitable(py, async move { Ok(NativePublisher(builder.await.map_err(raised)?)) })
     }
 
     fn subscriber<'py>(&self, py: Python<'py>, topic: String, newest: bool) -> PyResult<Bound<'py, PyAny>> {
         let builder = self.0.subscriber(topic);
         let builder = if newest { builder.newest() } else { builder };
-        future_into_py(py, async move { Ok(NativeSubscriber::new(builder.await.map_err(raised)?)) })
+        awaitable(py, async move { Ok(NativeSubscriber::new(builder.await.map_err(raised)?)) })
     }
 
     fn client<'py>(&self, py: Python<'py>, service: String, timeout: f64) -> PyResult<Bound<'py, PyAny>> {
         let builder = self.0.client(service).timeout(seconds(timeout)?);
-        future_into_py(py, async move { Ok(NativeClient(builder.await.map_err(raised)?)) })
+        awaitable(py, async move { Ok(NativeClient(builder.await.map_err(raised)?)) })
     }
 
     fn server<'py>(&self, py: Python<'py>, service: String) -> PyResult<Bound<'py, PyAny>> {
         let builder = self.0.server(service);
-        future_into_py(py, async move { Ok(NativeServer::new(builder.await.map_err(raised)?)) })
+        awaitable(py, async move { Ok(NativeServer::new(builder.await.map_err(raised)?)) })
     }
 
     #[pyo3(signature = (topic, type_name, reliable, transient_local, depth, definitions))]
@@ -96,7 +96,7 @@ impl NativeSession {
         let builder = ros.dynamic_publisher(topic, type_name).depth(depth);
         let builder = if reliable { builder } else { builder.best_effort() };
         let builder = if transient_local { builder.transient_local() } else { builder };
-        future_into_py(py, async move { Ok(NativeRosPublisher(builder.await.map_err(ros_raised)?)) })
+        awaitable(py, async move { Ok(NativeRosPublisher(builder.await.map_err(ros_raised)?)) })
     }
 
     fn ros_subscriber<'py>(
@@ -106,7 +106,7 @@ impl NativeSession {
         definitions: Vec<PathBuf>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let ros = definitions.into_iter().fold(self.0.ros(), |ros, folder| ros.definitions(folder));
-        future_into_py(py, async move {
+        awaitable(py, async move {
             let subscriber = ros.dynamic_subscriber(topic).await.map_err(ros_raised)?;
             Ok(NativeRosSubscriber(Mutex::new(subscriber).into()))
         })
@@ -114,7 +114,7 @@ impl NativeSession {
 
     fn close<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let session = self.0.clone();
-        future_into_py(py, async move { session.close().await.map_err(raised) })
+        awaitable(py, async move { session.close().await.map_err(raised) })
     }
 
     fn __repr__(&self) -> String {

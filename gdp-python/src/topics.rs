@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
+use crate::runtime::awaitable;
 use gdp::{Publisher, Sample, Subscriber};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::pybacked::{PyBackedBytes, PyBackedStr};
 use pyo3::types::PyBytes;
-use pyo3_async_runtimes::tokio::future_into_py;
 use tokio::sync::Mutex;
 
 use crate::convert::{encoding_name, seconds};
@@ -40,17 +40,17 @@ pub struct NativePublisher(pub Publisher);
 impl NativePublisher {
     fn put<'py>(&self, py: Python<'py>, payload: Payload) -> PyResult<Bound<'py, PyAny>> {
         let publisher = self.0.clone();
-        future_into_py(py, async move { publisher.put(payload).await.map_err(raised) })
+        awaitable(py, async move { publisher.put(payload).await.map_err(raised) })
     }
 
     fn flush<'py>(&self, py: Python<'py>, timeout: f64) -> PyResult<Bound<'py, PyAny>> {
         let (publisher, timeout) = (self.0.clone(), seconds(timeout)?);
-        future_into_py(py, async move { publisher.flush(timeout).await.map_err(raised) })
+        awaitable(py, async move { publisher.flush(timeout).await.map_err(raised) })
     }
 
     fn wait_for_readers<'py>(&self, py: Python<'py>, readers: usize) -> PyResult<Bound<'py, PyAny>> {
         let publisher = self.0.clone();
-        future_into_py(py, async move { publisher.wait_for_readers(readers).await.map_err(raised) })
+        awaitable(py, async move { publisher.wait_for_readers(readers).await.map_err(raised) })
     }
 
     #[getter]
@@ -85,7 +85,7 @@ impl NativeSubscriber {
 impl NativeSubscriber {
     fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let subscriber = self.subscriber.clone();
-        future_into_py(py, async move {
+        awaitable(py, async move {
             let sample = subscriber.lock().await.recv().await.map_err(raised)?;
             Ok(sample.map(NativeSample))
         })

@@ -133,6 +133,44 @@ def test_the_blocking_form_does_the_same():
         assert replies == ["on!"]
 
 
+def test_another_thread_that_waits_ends_with_the_session():
+    session = gdp.blocking.open(keyring("laptop"), SWITCH)
+    subscriber, outcomes = session.subscribe("/bytes"), []
+
+    def wait():
+        try:
+            outcomes.append(subscriber.recv())
+        except gdp.GdpError as error:
+            outcomes.append(error)
+
+    waiting = threading.Thread(target=wait, daemon=True)
+    waiting.start()
+    time.sleep(0.3)
+    session.close()
+    waiting.join(TIMEOUT)
+    assert not waiting.is_alive() and len(outcomes) == 1, outcomes
+    with pytest.raises(gdp.GdpError, match="closed"):
+        subscriber.recv()
+
+
+def test_two_tasks_attach_one_handle_and_its_end_flushes():
+    async def main():
+        async with opened("robot") as robot, opened("laptop") as laptop:
+            subscriber = await laptop.subscribe("/bytes")
+            async with robot.publisher("/bytes", reliable=True) as publisher:
+                await publisher.wait_for_readers()
+                await asyncio.gather(*(publisher.put(str(i)) for i in range(50)))
+            for _ in range(50):
+                assert await subscriber.recv() is not None
+            with pytest.raises(gdp.GdpError, match="closed"):
+                await publisher.put("late")
+            racing = laptop.client("/light", timeout=0.1)
+            results = await asyncio.gather(racing.call("a"), racing.call("b"), return_exceptions=True)
+            assert [type(result) for result in results] == [gdp.NoReplyError] * 2, results
+
+    run(main())
+
+
 def command(label, *arguments):
     environment = {**os.environ, "GDP_KEYRING": keyring(label), "GDP_SWITCH": SWITCH}
     return subprocess.Popen([sys.executable, "-m", "gdp.topic", *arguments], env=environment,

@@ -1,11 +1,15 @@
 """Sessions with asyncio, over the extension module."""
 
+import asyncio
+import atexit
 import json
 import os
 from dataclasses import dataclass
 from typing import Any
 
 from . import _gdp
+
+atexit.register(_gdp.finish)
 
 
 class _Attaching:
@@ -14,13 +18,19 @@ class _Attaching:
     def __init__(self, attach):
         self._attach = attach
         self._native = None
+        self._attaching = asyncio.Lock()
+        self._closed = False
 
     def __await__(self):
         return self._attached().__await__()
 
     async def _attached(self):
-        if self._native is None:
-            self._native = await self._attach()
+        # One task attaches, and others wait for it.
+        async with self._attaching:
+            if self._closed:
+                raise _gdp.GdpError("it is closed; make another one")
+            if self._native is None:
+                self._native = await self._attach()
         return self
 
     async def __aenter__(self):
@@ -28,7 +38,7 @@ class _Attaching:
 
     async def __aexit__(self, *_):
         # The extension withdraws the name when its object ends.
-        self._native = None
+        self._native, self._closed = None, True
 
 
 class _Receiving(_Attaching):
@@ -50,7 +60,22 @@ class _Receiving(_Attaching):
 
 
 class _Publishing(_Attaching):
-    """A handle that publishes."""
+    """A handle that publishes. `async with` flushes a reliable one at its end."""
+
+    def __init__(self, attach, reliable):
+        super().__init__(attach)
+        self._reliable = reliable
+
+    async def __aexit__(self, kind, *_):
+        try:
+            if self._reliable and self._native is not None:
+                await self.flush()
+        except _gdp.GdpError:
+            # The program's own exception says more.
+            if kind is None:
+                raise
+        finally:
+            await super().__aexit__()
 
     async def flush(self, timeout=5.0):
         """Wait until every reader of a reliable publisher has acknowledged all messages."""
@@ -143,12 +168,17 @@ class Client(_Attaching):
 class Session(_Attaching):
     """An entity that is attached to a switch: `async with gdp.open() as session`."""
 
-    async def __aexit__(self, *_):
-        await self.close()
+    async def __aexit__(self, kind, *_):
+        try:
+            await self.close()
+        except _gdp.GdpError:
+            # The program's own exception says more.
+            if kind is None:
+                raise
 
     async def close(self):
         """Wait for the readers of reliable publishers, for at most 5 s, and detach."""
-        native, self._native = self._native, None
+        native, self._native, self._closed = self._native, None, True
         if native is not None:
             await native.close()
 
@@ -165,7 +195,9 @@ class Session(_Attaching):
 
     def publisher(self, topic, *, reliable=False, latched=0, encoding="bytes"):
         """Publish a topic: a ROS name, a card's file, or a name of 64 hex digits or its first ones."""
-        return Publisher(lambda: self._open.publisher(topic, reliable, latched, encoding))
+        return Publisher(
+            lambda: self._open.publisher(topic, reliable, latched, encoding), reliable
+        )
 
     def subscribe(self, topic, *, newest=False):
         """Read a topic: named as for `publisher`, or /LABEL/TOPIC of another member."""
@@ -187,7 +219,8 @@ class Session(_Attaching):
         return RosPublisher(
             lambda: self._open.ros_publisher(
                 topic, type_name, reliable, transient_local, depth, folders
-            )
+            ),
+            reliable,
         )
 
     def ros_subscribe(self, topic, *, definitions=()):

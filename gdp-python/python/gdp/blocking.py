@@ -8,9 +8,11 @@ Each session has a thread with a loop of asyncio. Handles may be used from any t
 """
 
 import asyncio
+import concurrent.futures
 import threading
 
 from . import _session
+from ._gdp import GdpError
 
 
 class _Loop:
@@ -22,15 +24,28 @@ class _Loop:
         self.thread.start()
 
     def run(self, coroutine, timeout=None):
+        if not self.thread.is_alive() or self.loop.is_closed():
+            coroutine.close()
+            raise GdpError("the session is closed")
         waiting = asyncio.run_coroutine_threadsafe(coroutine, self.loop)
         try:
             return waiting.result(timeout)
+        except (asyncio.CancelledError, concurrent.futures.CancelledError):
+            raise GdpError("the session was closed") from None
         except BaseException:
             # Also after ^C: what nobody waits for is given up.
             waiting.cancel()
             raise
 
     def stop(self):
+        async def give_up():
+            others = asyncio.all_tasks() - {asyncio.current_task()}
+            for task in others:
+                task.cancel()
+            await asyncio.gather(*others, return_exceptions=True)
+
+        # Other threads may wait for a message.
+        self.run(give_up())
         self.loop.call_soon_threadsafe(self.loop.stop)
         self.thread.join()
         self.loop.close()
@@ -46,8 +61,8 @@ class _Handle:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        self._loop.run(self._handle.__aexit__())
+    def __exit__(self, *exception):
+        self._loop.run(self._handle.__aexit__(*exception))
 
 
 class _Receiving(_Handle):
@@ -148,8 +163,13 @@ class Client(_Handle):
 class Session(_Handle):
     """An entity that is attached to a switch: `with gdp.blocking.open() as session`."""
 
-    def __exit__(self, *_):
-        self.close()
+    def __exit__(self, kind, *_):
+        try:
+            self.close()
+        except GdpError:
+            # The program's own exception says more.
+            if kind is None:
+                raise
 
     def close(self):
         """Wait for the readers of reliable publishers, for at most 5 s, and detach."""

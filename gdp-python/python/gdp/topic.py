@@ -6,10 +6,11 @@
 
 import argparse
 import json
+import os
 import sys
 import time
 
-from . import GdpError, blocking
+from . import GdpError, MessageError, blocking
 
 
 def arguments(argv=None):
@@ -27,10 +28,24 @@ def arguments(argv=None):
     pub.add_argument("topic")
     pub.add_argument("type", help="type of the topic, such as std_msgs/msg/String")
     pub.add_argument("values", nargs="?", default="{}", help="fields, in YAML or JSON")
-    pub.add_argument("--rate", type=float, default=1.0, help="messages a second")
-    pub.add_argument("--times", type=int, help="number of messages; default: no limit")
-    pub.add_argument("--readers", type=int, default=0, help="number of readers to wait for")
+    pub.add_argument("--rate", type=positive, default=1.0, help="messages a second")
+    pub.add_argument("--times", type=count, help="number of messages; default: no limit")
+    pub.add_argument("--readers", type=count, help="number of readers to wait for; default: 1 with --times, otherwise 0")
     return parser.parse_args(argv)
+
+
+def positive(text):
+    number = float(text)
+    if not 0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a number greater than zero")
+    return number
+
+
+def count(text):
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} is less than zero")
+    return number
 
 
 def lines(value, indent=""):
@@ -40,11 +55,19 @@ def lines(value, indent=""):
             yield f"{indent}{name}:"
             yield from lines(field, indent + "  ")
         else:
-            yield f"{indent}{name}: {json.dumps(field, ensure_ascii=False)}"
+            yield f"{indent}{name}: {json.dumps(field)}"
 
 
 def echo(session, options):
-    for message in session.ros_subscribe(options.topic, definitions=options.definitions):
+    subscriber = session.ros_subscribe(options.topic, definitions=options.definitions)
+    while True:
+        try:
+            message = subscriber.recv()
+        except MessageError as error:
+            print(f"gdp.topic: left out: {error}", file=sys.stderr)
+            continue
+        if message is None:
+            return
         if options.json:
             print(json.dumps(message.value), flush=True)
         else:
@@ -55,7 +78,8 @@ def echo(session, options):
 
 def pub(session, options):
     publisher = session.ros_publisher(options.topic, options.type, definitions=options.definitions)
-    publisher.wait_for_readers(options.readers)
+    readers = options.readers if options.readers is not None else int(options.times is not None)
+    publisher.wait_for_readers(readers)
     count = 0
     while options.times is None or count < options.times:
         if count:
@@ -76,6 +100,10 @@ def main(argv=None):
         return 1
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:
+        # Nobody reads the output; nothing must be written to it at the exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0
 
 

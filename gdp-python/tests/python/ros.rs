@@ -53,7 +53,7 @@ impl Site {
     /// A proxy with one topic, in a DDS domain.
     fn proxy(&self, entity: &Entity, domain: u16, topic: &str) -> Program {
         let config = format!(
-            "version: 1\nidentity: id.pem\nlinks: [{{to: '{}'}}]\ngraphs: {{a: {{ros2: {domain}}}}}\ntopics:\n  - {topic}\n",
+            "version: 1\nidentity: id.pem\nlinks: [{{to: '{}'}}]\ngraphs: {{a: {{domain_id: {domain}}}}}\ntopics:\n  - {topic}\n",
             self.switch()
         );
         let file = entity.folder.join("proxy.yaml");

@@ -82,7 +82,7 @@ fn package(folder: &Path) {
     for entry in std::fs::read_dir(python).unwrap().map(Result::unwrap).filter(|entry| entry.path().is_file()) {
         std::fs::copy(entry.path(), folder.join(entry.file_name())).unwrap();
     }
-    let extension = existing(profile().join("libgdp_python.so"), "cargo build -p gdp-python");
+    let extension = existing(profile().join("deps/libgdp_python.so"), "cargo test -p gdp-python");
     std::fs::copy(extension, folder.join("_gdp.abi3.so")).unwrap();
 }
 

@@ -51,7 +51,7 @@ impl ClientBuilder {
         let card = session.find(&service, "service").await?;
         let grant = session.keyring(|keyring| keyring.grant(&card, session.name(), unix_seconds()))?;
         let node = session.node.client(card.proof(), grant).await?.into();
-        Ok(Client { node, card, service: service.into(), encoding, timeout })
+        Ok(Client { node, _session: session, card, service: service.into(), encoding, timeout })
     }
 }
 
@@ -68,6 +68,8 @@ impl IntoFuture for ClientBuilder {
 #[derive(Clone)]
 pub struct Client {
     node: Arc<node::Client>,
+    /// Presents renewed credentials as long as a handle exists.
+    _session: Arc<Attached>,
     card: NameCard,
     service: Arc<str>,
     encoding: Encoding,

@@ -37,7 +37,7 @@ pub enum Error {
     Find(#[from] FindError),
     /// No other member of the domain shares such a name.
     #[error(transparent)]
-    Members(#[from] MembersError),
+    Members(Box<MembersError>),
     /// There is no certificate for this entity, or it does not hold.
     #[error(transparent)]
     Right(#[from] RightError),
@@ -65,13 +65,21 @@ pub enum Error {
     },
 }
 
+impl From<MembersError> for Error {
+    fn from(error: MembersError) -> Self {
+        Self::Members(error.into())
+    }
+}
+
 impl Error {
     /// Returns whether a later attempt may succeed without a change of files.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Fabric(error) => error.may_pass(),
-            Self::Members(MembersError::Node(error)) => error.may_pass(),
-            Self::Members(MembersError::DirectorySilent | MembersError::CatalogSilent { .. }) => true,
+            Self::Members(error) => match &**error {
+                MembersError::Node(error) => error.may_pass(),
+                error => matches!(error, MembersError::DirectorySilent | MembersError::CatalogSilent { .. }),
+            },
             Self::NoReply { .. } | Self::Unflushed { .. } => true,
             _ => false,
         }

@@ -80,7 +80,7 @@ impl PublisherBuilder {
         let node = session.node.publish(card.proof(), ad, options).await?;
         let shared = Arc::new(PublisherHandle { node, card, topic });
         session.remember(&shared);
-        Ok(Publisher { shared, encoding })
+        Ok(Publisher { shared, _session: session, encoding })
     }
 }
 
@@ -98,6 +98,8 @@ impl IntoFuture for PublisherBuilder {
 #[derive(Clone)]
 pub struct Publisher {
     shared: Arc<PublisherHandle>,
+    /// Presents renewed credentials as long as a handle exists.
+    _session: Arc<Attached>,
     encoding: Encoding,
 }
 

@@ -41,7 +41,7 @@ impl ServerBuilder {
         let card = session.find(&service, "service").await?;
         let ad = session.keyring(|keyring| keyring.ad(&card, session.name(), unix_seconds()))?;
         let node = session.node.serve(card.proof(), ad).await?;
-        Ok(Server { node, card, service: service.into(), encoding })
+        Ok(Server { node, _session: session, card, service: service.into(), encoding })
     }
 }
 
@@ -57,6 +57,8 @@ impl IntoFuture for ServerBuilder {
 /// Receives the calls to a service, as one of its servers. Dropping it withdraws the server.
 pub struct Server {
     node: node::Server,
+    /// Presents renewed credentials as long as a handle exists.
+    _session: Arc<Attached>,
     card: NameCard,
     service: Arc<str>,
     encoding: Encoding,

@@ -68,9 +68,9 @@ impl IntoFuture for SubscriberBuilder {
 
     fn into_future(self) -> Self::IntoFuture {
         Box::pin(async {
-            let topic = self.topic.as_str().into();
+            let (topic, session) = (self.topic.as_str().into(), self.session.clone());
             let (node, card) = self.subscribe().await?;
-            Ok(Subscriber { ended: Some(Box::pin(node.ended())), node, card, topic })
+            Ok(Subscriber { _session: session, ended: Some(Box::pin(node.ended())), node, card, topic })
         })
     }
 }
@@ -81,6 +81,8 @@ impl IntoFuture for SubscriberBuilder {
 /// to read has ended. The stream ends without one when the session is closed.
 pub struct Subscriber {
     node: Subscription,
+    /// Presents renewed credentials as long as a handle exists.
+    _session: Arc<Attached>,
     /// Until the end was reported.
     ended: Option<BoxFuture<'static, Ended>>,
     card: NameCard,
