@@ -153,7 +153,6 @@ enum Command {
     Ping(ping::Options),
     /// Print events of this machine's switch until ^C, such as links, refusals and routes.
     Monitor,
-    /// Show the switch, its domain and its robots on a web page.
     Web(web::Options),
     /// Show the domain's switches, and the links between them.
     Topology(topology::Options),

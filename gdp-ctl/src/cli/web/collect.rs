@@ -2,8 +2,8 @@
 //! Names and members change slowly and cost more, so they are asked for every 5 seconds.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use gdp_proto::admin::Request;
@@ -12,11 +12,12 @@ use gdp_proto::admin::status::StatusReply;
 use gdp_proto::admin::tables::{FibReply, RibReply};
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_util::unix_time::unix_seconds;
+use parking_lot::Mutex;
 
-use super::events::Events;
-use super::problems::{self, Problem, Severity};
-use super::snapshot::{Bounded, Labels, Snapshot, text};
-use super::view::{self, MAX_ROWS, Names};
+use super::events::RecentEvents;
+use super::problems;
+use super::snapshot::{Bounded, Labels, PageSnapshot, Problem, Severity, text};
+use super::view::{self, MAX_ROWS, NamesInUse};
 use crate::cli::context::Context;
 use crate::cli::home::{HomeOptions, RobotsOutput, robots_of};
 use crate::client::Client;
@@ -36,8 +37,9 @@ pub struct Collector {
     context: Context,
     home: HomeOptions,
     keyring: Option<PathBuf>,
-    events: Arc<Events>,
+    events: Arc<RecentEvents>,
     latest: Mutex<Latest>,
+    begun: Instant,
     members: Arc<Members>,
 }
 
@@ -45,7 +47,7 @@ pub struct Collector {
 struct Latest {
     /// JSON text.
     snapshot: Option<(Instant, Arc<str>)>,
-    names: Option<(Instant, Names)>,
+    names: Option<(Instant, NamesInUse)>,
     labels: Option<(Instant, Labels)>,
 }
 
@@ -60,13 +62,21 @@ struct Members {
 type Found = Result<Option<RobotsOutput>, String>;
 
 impl Collector {
-    pub fn new(context: Context, home: HomeOptions, keyring: Option<PathBuf>, events: Arc<Events>) -> Self {
-        Self { context, home, keyring, events, latest: Mutex::default(), members: Arc::default() }
+    pub fn new(context: Context, home: HomeOptions, keyring: Option<PathBuf>, events: Arc<RecentEvents>) -> Self {
+        Self {
+            context,
+            home,
+            keyring,
+            events,
+            latest: Mutex::default(),
+            begun: Instant::now(),
+            members: Arc::default(),
+        }
     }
 
     /// Returns a snapshot that is at most a second old, as JSON. Blocks.
     pub fn snapshot(&self) -> Arc<str> {
-        let mut latest = lock(&self.latest);
+        let mut latest = self.latest.lock();
         if let Some((at, snapshot)) = &latest.snapshot
             && at.elapsed() < FRESH
         {
@@ -79,17 +89,22 @@ impl Collector {
         json
     }
 
-    fn collect(&self, latest: &mut Latest) -> Snapshot {
+    fn collect(&self, latest: &mut Latest) -> PageSnapshot {
         self.read_members();
         self.read_labels(latest);
-        let mut snapshot = Snapshot { at_ms: unix_millis(), events: self.events.latest(), ..Snapshot::default() };
+        let mut snapshot = PageSnapshot {
+            at_ms: unix_millis(),
+            uptime_ms: self.begun.elapsed().as_millis() as u64,
+            events: self.events.latest(),
+            ..PageSnapshot::default()
+        };
         let mut found = Vec::new();
         let labels = latest.labels.as_ref().map(|(_, labels)| labels.clone()).unwrap_or_default();
         if let Err(error) = self.ask(&mut snapshot, &mut found, &mut latest.names, &labels) {
             snapshot.no_daemon = Some(text(&error.to_string()));
             found.push(Problem { severity: Severity::Down, what: text(&error.to_string()) });
         }
-        match &*lock(&self.members.known) {
+        match &*self.members.known.lock() {
             None => snapshot.robots_error = Some("Reading the domain's files…".into()),
             Some((_, Ok(None))) => {}
             Some((_, Ok(Some(robots)))) => {
@@ -105,9 +120,9 @@ impl Collector {
 
     fn ask(
         &self,
-        snapshot: &mut Snapshot,
+        snapshot: &mut PageSnapshot,
         found: &mut Vec<Problem>,
-        names: &mut Option<(Instant, Names)>,
+        names: &mut Option<(Instant, NamesInUse)>,
         labels: &Labels,
     ) -> anyhow::Result<()> {
         let mut client = self.context.client()?;
@@ -116,8 +131,10 @@ impl Collector {
         let peers: PeersReply = client.ask(&Request::Peers)?;
         if is_old(names) {
             let read = match status.rib {
-                Some(_) => client.ask::<RibReply>(&Request::Rib { after: None }).map(|reply| Names::of_rib(&reply)),
-                None => client.ask::<FibReply>(&Request::Fib { after: None }).map(|reply| Names::of_fib(&reply)),
+                Some(_) => {
+                    client.ask::<RibReply>(&Request::Rib { after: None }).map(|reply| NamesInUse::of_rib(&reply))
+                }
+                None => client.ask::<FibReply>(&Request::Fib { after: None }).map(|reply| NamesInUse::of_fib(&reply)),
             };
             *names = Some((Instant::now(), read?));
         }
@@ -139,7 +156,7 @@ impl Collector {
             let cards = KINDS.iter().flat_map(|kind| keyring.cards(kind));
             labels.0.extend(cards.map(|card| (card.name(), called(card).to_owned())));
         }
-        if let Some((_, Ok(Some(robots)))) = &*lock(&self.members.known) {
+        if let Some((_, Ok(Some(robots)))) = &*self.members.known.lock() {
             let members = robots.members.iter().filter(|member| member.fingerprint.is_none());
             labels.0.extend(members.filter_map(|member| Some((member.entity?, member.label.clone()))));
         }
@@ -148,13 +165,13 @@ impl Collector {
 
     /// Starts to read the members again, if what is known of them is old.
     fn read_members(&self) {
-        if !is_old(&lock(&self.members.known)) || self.members.is_reading.swap(true, Ordering::AcqRel) {
+        if !is_old(&self.members.known.lock()) || self.members.is_reading.swap(true, Ordering::AcqRel) {
             return;
         }
         let (members, home, context) = (self.members.clone(), self.home.clone(), self.context.clone());
         std::thread::spawn(move || {
             let read = robots_of(&home, &context).map_err(|error| format!("{error:#}"));
-            *lock(&members.known) = Some((Instant::now(), read));
+            *members.known.lock() = Some((Instant::now(), read));
             members.is_reading.store(false, Ordering::Release);
         });
     }
@@ -166,17 +183,12 @@ impl Collector {
 
     /// Returns the labels of the latest snapshot.
     pub fn labels(&self) -> Labels {
-        lock(&self.latest).labels.as_ref().map(|(_, labels)| labels.clone()).unwrap_or_default()
+        self.latest.lock().labels.as_ref().map(|(_, labels)| labels.clone()).unwrap_or_default()
     }
 }
 
 fn is_old<T>(known: &Option<(Instant, T)>) -> bool {
     known.as_ref().is_none_or(|(at, _)| at.elapsed() >= SLOW)
-}
-
-/// A panic ends the process, so no lock is ever poisoned.
-pub fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn unix_millis() -> u64 {

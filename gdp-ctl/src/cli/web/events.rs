@@ -1,12 +1,12 @@
 //! The latest events of the switch. A thread follows `monitor` for as long as the program runs.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_proto::admin::event::TimedEvent;
+use parking_lot::Mutex;
 
-use super::collect::lock;
 use super::snapshot::{EventLine, text};
 use crate::cli::context::Context;
 use crate::cli::monitor;
@@ -18,9 +18,9 @@ const MOST: usize = 100;
 const PAUSE: Duration = Duration::from_secs(2);
 
 #[derive(Default)]
-pub struct Events(Mutex<VecDeque<EventLine>>);
+pub struct RecentEvents(Mutex<VecDeque<EventLine>>);
 
-impl Events {
+impl RecentEvents {
     /// Follows the daemon's events from now on, also those of its successors.
     pub fn follow(context: Context) -> Arc<Self> {
         let events = Arc::new(Self::default());
@@ -39,14 +39,14 @@ impl Events {
 
     pub fn add(&self, TimedEvent { at, event }: &TimedEvent) {
         let (kind, what) = monitor::words(event);
-        let mut events = lock(&self.0);
+        let mut events = self.0.lock();
         events.push_front(EventLine { at_ms: at / 1_000_000, kind, what: text(&what) });
         events.truncate(MOST);
     }
 
     /// Returns the events, the latest first.
     pub fn latest(&self) -> Vec<EventLine> {
-        lock(&self.0).iter().cloned().collect()
+        self.0.lock().iter().cloned().collect()
     }
 }
 

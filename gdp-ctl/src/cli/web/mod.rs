@@ -33,10 +33,10 @@ use tokio::sync::Semaphore;
 use super::home::HomeOptions;
 use crate::cli::context::Context;
 use collect::Collector;
-use events::Events;
+use events::RecentEvents;
 use snapshot::text;
 
-/// Shows on a web page how this machine's switch, its domain and its robots are.
+/// Show the switch, its domain and its robots on a web page.
 ///
 /// The page changes nothing. The command prints an address with a token, which lets a browser of
 /// this machine in. The page shows the topology, links, names, domains, members and events, and
@@ -101,7 +101,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let listener = Listener::bind(options.listen, Access::token_or_cookie(token, COOKIE))?;
         let address = listener.address();
-        let events = Events::follow(context.clone());
+        let events = RecentEvents::follow(context.clone());
         let collector = Arc::new(Collector::new(context.clone(), options.home, keyring, events));
         // Whoever has the file knows its token.
         let url = format!("http://{address}/?token={}", secret.as_deref().unwrap_or("…"));

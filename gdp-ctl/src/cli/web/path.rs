@@ -60,7 +60,7 @@ pub fn find(prefix: &NamePrefix, collector: &Collector) -> anyhow::Result<PathAn
         Ok(traced) => add(traced),
         Err(error) => {
             trace_error = Some(text(&format!("{error:#}")));
-            // Only the switch of a sender has the name's route. The path to that switch is the same.
+            // Only the switch of a sender has a route to the name.
             for switch in switches {
                 if let Ok(traced) = trace::from_daemon(&switch.into(), collector.client()?) {
                     add(traced);

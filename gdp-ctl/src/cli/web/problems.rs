@@ -4,26 +4,12 @@ use gdp_proto::admin::links::PeersReply;
 use gdp_proto::admin::status::{StatusReply, Warning};
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_proto::admin::words::{PeerLink, TierState};
-use serde::Serialize;
 
-use super::snapshot::{Labels, text};
+use super::snapshot::{Labelled, Labels, Problem, Severity, text};
 use crate::cli::home::RobotsOutput;
 
 /// Time before the end of a membership from which on it is a problem: 7 days.
 const EXPIRY: u64 = 7 * 86400;
-
-#[derive(Debug, PartialEq, Eq, Serialize)]
-pub struct Problem {
-    pub severity: Severity,
-    pub what: String,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Severity {
-    Down,
-    Warning,
-}
 
 /// Returns the problems of a daemon that answers, at `now` in Unix seconds.
 pub fn find(
@@ -36,7 +22,7 @@ pub fn find(
     let mut found = Vec::new();
     let mut add = |severity, what: String| found.push(Problem { severity, what: text(&what) });
     let called = |name| match labels.of(name) {
-        super::snapshot::Labelled { label: Some(label), short, .. } => format!("{label} ({short})"),
+        Labelled { label: Some(label), short, .. } => format!("{label} ({short})"),
         labelled => labelled.short,
     };
     if !status.control.ready {

@@ -7,13 +7,13 @@ use gdp_util::escape::Escaped;
 use gdp_wire::Name;
 use serde::Serialize;
 
-use super::problems::Problem;
-
 /// Everything at one time. Counters are totals: the page derives rates from two snapshots.
 #[derive(Debug, Default, Serialize)]
-pub struct Snapshot {
+pub struct PageSnapshot {
     /// Unix time in milliseconds.
     pub at_ms: u64,
+    /// Milliseconds since this program started, by a clock that nobody sets: for rates.
+    pub uptime_ms: u64,
     /// Why the daemon does not answer.
     pub no_daemon: Option<String>,
     pub problems: Bounded<Problem>,
@@ -30,6 +30,20 @@ pub struct Snapshot {
     pub counters: BTreeMap<String, u64>,
     /// The latest first.
     pub events: Vec<EventLine>,
+}
+
+/// What an operator has to look at.
+#[derive(Debug, PartialEq, Eq, Serialize)]
+pub struct Problem {
+    pub severity: Severity,
+    pub what: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    Down,
+    Warning,
 }
 
 /// The first elements of a list, and how many more there are.
@@ -159,7 +173,7 @@ pub struct NameLine {
     pub writers: Bounded<Labelled>,
     /// Readers and callers.
     pub readers: Bounded<Labelled>,
-    /// `topic`, `service`, or `endpoint` for the name of an entity itself.
+    /// `topic`, `service`, `endpoint` for the name of an entity itself, or `–` if it is not known.
     pub kind: &'static str,
     /// Frames, estimated from samples; none unless it is among the busiest.
     pub frames: Option<u64>,

@@ -10,7 +10,8 @@ use gdp_proto::admin::words::{PeerLink, PeerRole};
 use gdp_wire::Name;
 
 use super::snapshot::{
-    Bounded, DomainLine, Labelled, Labels, LinkLine, MapEdge, MapNode, NameLine, OwnSwitch, RobotLine, Snapshot, text,
+    Bounded, DomainLine, Labelled, Labels, LinkLine, MapEdge, MapNode, NameLine, OwnSwitch, PageSnapshot, RobotLine,
+    text,
 };
 use crate::cli::home::RobotsOutput;
 use crate::cli::topology::{Edge, edges};
@@ -26,11 +27,13 @@ const MAX_ENTITIES: usize = 3;
 
 /// The names that the switch or its RIB knows, and how many there are.
 #[derive(Debug, Default)]
-pub struct Names {
+pub struct NamesInUse {
     /// Writers and readers.
     pub roles: BTreeMap<Name, Roles>,
     /// Entities at each switch; none if the RIB is elsewhere.
     pub attached: Option<BTreeMap<Name, usize>>,
+    /// These are all names of the RIB, so that any other one is the name of an endpoint.
+    pub is_complete: bool,
 }
 
 /// The entities of a name.
@@ -42,13 +45,14 @@ pub struct Roles {
 }
 
 impl Roles {
-    /// Whether it is the name of an entity itself, to which others send reports and requests.
-    fn is_endpoint(&self) -> bool {
+    /// Whether nobody publishes or reads it, as far as is known. With all names of the RIB known,
+    /// it is the name of an entity itself, to which others send reports and requests.
+    fn is_unused(&self) -> bool {
         self.writers.is_empty() && self.readers.is_empty()
     }
 }
 
-impl Names {
+impl NamesInUse {
     pub fn of_rib(reply: &RibReply) -> Self {
         let mut roles = BTreeMap::<Name, Roles>::new();
         for record in &reply.records {
@@ -59,7 +63,7 @@ impl Names {
             known.is_service = role.is_of_service();
         }
         let attached = reply.switches.iter().map(|switch| (switch.switch, switch.attached.len())).collect();
-        Self { roles, attached: Some(attached) }
+        Self { roles, attached: Some(attached), is_complete: !reply.more }
     }
 
     pub fn of_fib(reply: &FibReply) -> Self {
@@ -67,17 +71,17 @@ impl Names {
             let roles = Roles { writers: route.writers.clone(), readers: route.readers.clone(), is_service: false };
             (route.name, roles)
         };
-        Self { roles: reply.routes.iter().map(of).collect(), attached: None }
+        Self { roles: reply.routes.iter().map(of).collect(), attached: None, is_complete: false }
     }
 }
 
 /// Fills the parts of a snapshot that come from the daemon.
 pub fn fill(
-    snapshot: &mut Snapshot,
+    snapshot: &mut PageSnapshot,
     status: &StatusReply,
     topology: &TopologyReply,
     peers: &PeersReply,
-    names: &Names,
+    names: &NamesInUse,
     labels: &Labels,
 ) {
     snapshot.switch = Some(own(status, labels));
@@ -107,7 +111,7 @@ fn own(status: &StatusReply, labels: &Labels) -> OwnSwitch {
 
 /// Returns the map. Its own switch and those without a path come first, so that a bound does not
 /// hide them.
-fn map(topology: &TopologyReply, names: &Names, labels: &Labels) -> (Bounded<MapNode>, Vec<MapEdge>) {
+fn map(topology: &TopologyReply, names: &NamesInUse, labels: &Labels) -> (Bounded<MapNode>, Vec<MapEdge>) {
     let edges = edges(topology);
     let mut nodes: Vec<MapNode> = Vec::new();
     for switch in &topology.switches {
@@ -199,17 +203,18 @@ fn live_link(link: &LinkStatus, labels: &Labels) -> LinkLine {
 }
 
 /// Returns the busiest names first, then those with a label.
-fn name_lines(status: &StatusReply, names: &Names, labels: &Labels) -> Bounded<NameLine> {
+fn name_lines(status: &StatusReply, names: &NamesInUse, labels: &Labels) -> Bounded<NameLine> {
     let busiest: BTreeMap<Name, u64> = status.busiest.iter().map(|busy| (busy.name, busy.frames)).collect();
     let mut all: BTreeMap<Name, Roles> = names.roles.clone();
     for name in busiest.keys() {
         all.entry(*name).or_default();
     }
+    let is_endpoint = |roles: &Roles| names.is_complete && roles.is_unused();
     let total = status.rib.as_ref().map_or(status.fib.names, |rib| rib.names).max(all.len());
     let mut rows: Vec<_> = all.into_iter().map(|(name, roles)| (busiest.get(&name).copied(), name, roles)).collect();
     // Names of endpoints, which have no records, come last.
     rows.sort_by_key(|(frames, name, roles)| {
-        (roles.is_endpoint(), std::cmp::Reverse(*frames), !labels.0.contains_key(name), *name)
+        (is_endpoint(roles), std::cmp::Reverse(*frames), !labels.0.contains_key(name), *name)
     });
     rows.truncate(MAX_ROWS);
     let more = total - rows.len();
@@ -219,7 +224,9 @@ fn name_lines(status: &StatusReply, names: &Names, labels: &Labels) -> Bounded<N
         writers: some(&roles.writers),
         readers: some(&roles.readers),
         kind: match roles.is_service {
-            _ if roles.is_endpoint() => "endpoint",
+            _ if is_endpoint(&roles) => "endpoint",
+            // The FIB does not know it, nor a part of the RIB.
+            _ if names.attached.is_none() || roles.is_unused() => "–",
             true => "service",
             false => "topic",
         },

@@ -30,8 +30,8 @@ function remember(snapshot) {
     for (const count of ["sent", "arrived", "dropped"]) counts.set(`${count} ${key}`, link[count]);
   }
   for (const { name, frames } of snapshot.names.rows) if (frames !== null) counts.set(`name ${name.name}`, frames);
-  past.push([snapshot.at_ms, counts]);
-  while (past.length > 2 && past[1][0] <= snapshot.at_ms - WINDOW_MS) past.shift();
+  past.push([snapshot.uptime_ms, counts]);
+  while (past.length > 2 && past[1][0] <= snapshot.uptime_ms - WINDOW_MS) past.shift();
 }
 
 // Returns a rate per second; undefined if it is not known yet.
@@ -212,12 +212,12 @@ function small(panel, text) {
   setText(document.querySelector(`#${panel} h2 small`), text);
 }
 
-let shown = 0;
+let shown = -1;
 
 function show(snapshot) {
   // The same one again.
-  if (snapshot.at_ms === shown) return;
-  shown = snapshot.at_ms;
+  if (snapshot.uptime_ms === shown) return;
+  shown = snapshot.uptime_ms;
   now = snapshot.at_ms / 1000;
   remember(snapshot);
   showOwn(snapshot.switch);

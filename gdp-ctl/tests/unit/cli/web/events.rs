@@ -7,7 +7,7 @@ use super::*;
 
 #[test]
 fn the_latest_hundred_are_stored_and_texts_of_peers_are_escaped() {
-    let events = Events::default();
+    let events = RecentEvents::default();
     for at in 0..120 {
         let reason = format!("\u{1b}[2J\u{202e}{at}");
         let event = Event::LinkDown { peer: Name::from_bytes([7; 32]), reason };

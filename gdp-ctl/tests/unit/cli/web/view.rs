@@ -20,7 +20,8 @@ fn many_names_are_bounded_with_the_busiest_and_labelled_first() {
     let mut roles: BTreeMap<_, _> = (0..=210).map(|number| (named(number), roles.clone())).collect();
     // The name of an endpoint is the busiest, and still not the first.
     roles.remove(&named(202));
-    let names = Names { roles, attached: None };
+    let attached = Some(BTreeMap::new());
+    let mut names = NamesInUse { roles, attached, is_complete: true };
     let labels = Labels([(named(150), "/chatter\u{202e}".to_owned())].into());
     let shown = name_lines(&status, &names, &labels);
     assert_eq!((shown.rows.len(), shown.more), (MAX_ROWS, 4900));
@@ -29,6 +30,10 @@ fn many_names_are_bounded_with_the_busiest_and_labelled_first() {
     assert_eq!(first, expected.map(|(number, frames)| (named(number).to_string(), frames)));
     assert_eq!((shown.rows[0].readers.rows.len(), shown.rows[0].readers.more), (3, 6));
     assert!(shown.rows.iter().all(|row| row.kind == "topic"), "there are enough others");
+    // Where the RIB has more names than are known here, it may be any kind.
+    names.is_complete = false;
+    let first = &name_lines(&status, &names, &labels).rows[0];
+    assert_eq!((first.name.name.clone(), first.kind), (named(202).to_string(), "–"));
     assert_eq!(shown.rows[2].name.label.as_deref(), Some("/chatter\\u{202e}"));
 }
 
@@ -48,7 +53,7 @@ fn a_crowded_map_shows_this_switch_and_those_without_a_path() {
     this["neighbours"] = json!(near);
     topology["switches"] = json!(others.chain([this]).collect::<Vec<_>>());
     let topology: TopologyReply = serde_json::from_value(topology).unwrap();
-    let (nodes, edges) = map(&topology, &Names::default(), &Labels::default());
+    let (nodes, edges) = map(&topology, &NamesInUse::default(), &Labels::default());
     assert_eq!((nodes.rows.len(), nodes.more), (MAX_NODES, 22));
     assert!(nodes.rows[0].own && !nodes.rows[1].reached && nodes.rows[1].switch.name == lost.to_string());
     assert!(nodes.rows[2..].iter().all(|node| node.reached));
@@ -62,7 +67,7 @@ fn a_link_that_only_one_end_states_is_half_down() {
     let (_, mut topology, _) = healthy();
     topology["switches"][1]["neighbours"] = json!([]);
     let topology = serde_json::from_value(topology).unwrap();
-    let (_, edges) = map(&topology, &Names::default(), &Labels::default());
+    let (_, edges) = map(&topology, &NamesInUse::default(), &Labels::default());
     assert_eq!(edges.iter().map(|edge| edge.state).collect::<Vec<_>>(), ["half"]);
 }
 
