@@ -42,7 +42,7 @@ gdp_http::metrics! {
 }
 
 /// A graph, a topic or service in it, and the direction.
-type Key<'a> = (&'a str, &'a str, &'static str);
+type LabelKey<'a> = (&'a str, &'a str, &'static str);
 
 pub fn exposition(status: &ProxyReply) -> Exposition {
     let mut all = Exposition::default();
@@ -107,10 +107,10 @@ fn states(all: &mut Exposition, status: &ProxyReply) {
 
 /// Groups what has the same labels. The busiest groups keep their labels, and all others are one.
 fn grouped<'a, T>(
-    items: impl Iterator<Item = (Key<'a>, &'a T)>,
+    items: impl Iterator<Item = (LabelKey<'a>, &'a T)>,
     traffic: impl Fn(&T) -> u64,
-) -> BTreeMap<Key<'a>, Vec<&'a T>> {
-    let mut groups: BTreeMap<Key, Vec<&T>> = BTreeMap::new();
+) -> BTreeMap<LabelKey<'a>, Vec<&'a T>> {
+    let mut groups: BTreeMap<LabelKey, Vec<&T>> = BTreeMap::new();
     items.for_each(|(key, item)| groups.entry(key).or_default().push(item));
     if groups.len() <= MAX_SERIES {
         return groups;
@@ -125,7 +125,7 @@ fn grouped<'a, T>(
     groups
 }
 
-fn topic(all: &mut Exposition, (graph, topic, direction): Key, of: &[&ProxyTopic]) {
+fn topic(all: &mut Exposition, (graph, topic, direction): LabelKey, of: &[&ProxyTopic]) {
     let labels = [graph, topic, direction];
     let sum = |count: fn(&ProxyTopic) -> u64| of.iter().map(|topic| count(topic)).sum();
     all.add(&TOPIC_MESSAGES, labels, sum(|topic| topic.messages));

@@ -26,8 +26,8 @@ impl Permission {
         }
     }
 
-    /// Returns when the first certificate of the chain ends, in Unix seconds; `None` if it cannot be
-    /// read.
+    /// Returns when the first certificate of the chain ends, in Unix seconds. `None` if one cannot
+    /// be read.
     pub fn until(&self) -> Option<u64> {
         match self {
             Self::Publish(cert) => end(cert),

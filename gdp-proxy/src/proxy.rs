@@ -194,7 +194,7 @@ async fn carry(
     manager.stopping();
     tracing::info!("leaving");
     let last = running.close().await;
-    stats_writer.show(&last.shown(&node, directory_status.as_ref()));
+    stats_writer.show(&last.with_node(&node, directory_status.as_ref()));
     drop((automatic, explicit, diagnostics));
     node.close().await;
     graph::leave(graphs).await;
@@ -241,7 +241,7 @@ impl Running {
     fn stats(&self, node: &Node, directory: Option<&RouteStatus>) -> Stats {
         let running =
             RunningStats { topics: self.routes.stats(), calls: self.calls.stats(), catalogs: self.catalogs.stats() };
-        running.shown(node, directory)
+        running.with_node(node, directory)
     }
 
     /// Ends all routes and returns their last statistics.
@@ -252,7 +252,7 @@ impl Running {
 }
 
 impl RunningStats {
-    fn shown(self, node: &Node, directory: Option<&RouteStatus>) -> Stats {
+    fn with_node(self, node: &Node, directory: Option<&RouteStatus>) -> Stats {
         let Self { topics, calls, catalogs } = self;
         let (member_until, member_error) = match node.member_until() {
             None => (None, None),

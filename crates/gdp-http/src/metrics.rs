@@ -1,5 +1,5 @@
-//! Metrics in the text formats of OpenMetrics and of Prometheus: each scrape shows the values of one
-//! moment. Programs declare their metrics in tables, from which the reference page is made too.
+//! Metrics in the text formats of OpenMetrics and Prometheus. Each scrape shows the values of one
+//! moment. Programs declare their metrics in tables, which the reference page shows too.
 
 use std::net::SocketAddr;
 use std::path::Path;

@@ -34,8 +34,7 @@ pub struct Options {
     node: NodeOptions,
 }
 
-/// Output of `gdp-ctl status`: of this machine's daemon, of a switch elsewhere, or of this machine's
-/// proxy.
+/// Output of `gdp-ctl status`: of this machine's daemon or proxy, or of a switch elsewhere.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum StatusOutput {

@@ -6,6 +6,7 @@
 //! ```
 
 mod actionlib;
+mod admin;
 mod automatic;
 mod crypto;
 mod direct;

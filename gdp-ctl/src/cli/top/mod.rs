@@ -3,6 +3,7 @@
 mod model;
 mod sample;
 mod screen;
+mod sort_key;
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -11,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use gdp_util::terminal;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
@@ -19,6 +20,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use self::model::Model;
 use self::sample::{Sample, Sources};
+use self::sort_key::SortKey;
 use super::home::HomeOptions;
 use crate::cli::context::Context;
 
@@ -31,8 +33,8 @@ const LOOK: Duration = Duration::from_millis(200);
 /// Watch robots, topics, links and drops of this machine, as they change.
 ///
 /// The figures are those of this machine's switch and proxy: `gdp-ctl status` and
-/// `gdp-ctl status --proxy`. Rates are of the last second. Robots are shown where the domain's files
-/// are. Keys: m, b, l, a, n sort topics by messages, bytes, lost, age and name; q ends.
+/// `gdp-ctl status --proxy`. Rates are of the last second. Robots are shown where the files of the
+/// domain are. Keys: m, b, l, a, n sort topics by messages, bytes, lost, age and name; q ends.
 #[derive(Debug, Args)]
 pub struct Options {
     /// Print one screen as text, then exit.
@@ -49,29 +51,6 @@ pub struct Options {
     proxy_socket: Option<PathBuf>,
     #[command(flatten)]
     home: HomeOptions,
-}
-
-/// What topics are sorted by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum SortKey {
-    Messages,
-    Bytes,
-    Lost,
-    Age,
-    Name,
-}
-
-impl SortKey {
-    fn of(key: char) -> Option<Self> {
-        match key {
-            'm' => Some(Self::Messages),
-            'b' => Some(Self::Bytes),
-            'l' => Some(Self::Lost),
-            'a' => Some(Self::Age),
-            'n' => Some(Self::Name),
-            _ => None,
-        }
-    }
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {

@@ -9,8 +9,8 @@ use gdp_proto::admin::proxy::{ProxyReply, ProxyTopic};
 use gdp_proto::admin::status::{StatusReply, Warning};
 use gdp_util::escape::Escaped;
 
-use super::SortKey;
 use super::sample::Sample;
+use super::sort_key::SortKey;
 use crate::cli::proxy_status::{millis, state};
 
 /// How a row or line looks.

@@ -7,8 +7,8 @@ use ratatui::text::{Line, Text};
 use ratatui::widgets::{Cell, Paragraph, Row, Table};
 use ratatui::{Frame, Terminal};
 
-use super::SortKey;
 use super::model::{Grid, Model, Tone};
+use super::sort_key::SortKey;
 
 /// The maximum width of a column, except the last one.
 const MAX_COLUMN: u16 = 40;
