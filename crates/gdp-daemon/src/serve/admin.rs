@@ -55,7 +55,8 @@ impl Drop for Listening {
     }
 }
 
-/// Opens the socket for this process's user, and for its group if `is_for_group`. Replaces the file of a crashed daemon.
+/// Opens the socket for this process's user, and for its group if `is_for_group`. Replaces the file
+/// of a crashed daemon.
 pub fn listen(daemon: &Arc<Daemon>, path: &Path, is_for_group: bool) -> Result<Listening, AdminError> {
     let io = |source| AdminError::Io { path: path.into(), source };
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
