@@ -90,8 +90,8 @@ enum Command {
         /// Run here until ^C, also where the package has a service for it
         #[arg(long, conflicts_with = "no_run")]
         foreground: bool,
-        /// If this machine has joined, use no invitation and run: for images that join at their first
-        /// start
+        /// If this machine has joined, use no invitation and run: for images that join at their
+        /// first start
         #[arg(long)]
         unless_joined: bool,
         /// End after joining; start the proxy later with the printed configuration

@@ -1,6 +1,7 @@
 //! Files that hold secrets. They are created with mode 0600 and never visible half-written or with
-//! a wider mode. They belong to the owner of the folder, if root creates them. A file that others than the owner can access is refused. They hold private keys
-//! and the command line's state of a name; the caller defines the content.
+//! a wider mode. They belong to the owner of the folder, if root creates them. A file that others
+//! than the owner can access is refused. They hold private keys and the command line's state of a
+//! name; the caller defines the content.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -80,8 +81,15 @@ fn with_temporary(
     result
 }
 
+/// Keys that admit members. They remain root's in another user's folder, because only commands of
+/// root use them, and no running program.
+pub const OF_ROOT: [&str; 3] = ["domain.pem", "domain.new", "successor.pem"];
+
 /// Gives what root writes into another user's folder to that user, whose programs read it.
 fn give_to_owner_of_folder(file: &File, path: &Path) -> io::Result<()> {
+    if OF_ROOT.iter().any(|name| path.file_name() == Some(name.as_ref())) {
+        return Ok(());
+    }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let (own, above) = (file.metadata()?, folder.metadata()?);
     match own.uid() == 0 && above.uid() != 0 {

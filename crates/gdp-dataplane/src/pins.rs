@@ -35,8 +35,8 @@ const THIS_NAMESPACE: &str = "/proc/thread-self/ns/net";
 /// Folder of this project in the BPF file system.
 const FOLDER: &str = "gdp";
 
-/// Folder of the service's switch. Its user sees it as the root of the BPF file system, because only
-/// root may enter that.
+/// Folder of the service's switch. Its user sees it as the root of the BPF file system, because
+/// only root may enter that.
 const OF_SERVICE: &str = "gdp-switch";
 
 /// Reasons why the pins of a switch cannot be used.

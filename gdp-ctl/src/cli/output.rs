@@ -81,6 +81,9 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
 
 /// Replaces a file atomically, and keeps its permissions. A link stays, and its target is replaced.
 pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
+    if gdp_util::folders::is_foreign_link(path) {
+        anyhow::bail!("{} is a symbolic link of another user, and root does not follow it", path.display());
+    }
     let target = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
     let mut new_name = target.file_name().unwrap_or_default().to_owned();
     new_name.push(format!(".{}.tmp", std::process::id()));
@@ -90,6 +93,7 @@ pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
         file.set_permissions(target.metadata()?.permissions())?;
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
+        gdp_util::folders::give_to_owner_above(&new)?;
         std::fs::rename(&new, &target)
     })();
     if replaced.is_err() {

@@ -13,8 +13,8 @@ use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::wait;
 
+use super::build::{Build, folder};
 use super::trial::{copy, remove, root, two_versions};
-use super::{Build, folder};
 use crate::setup::{self, Purpose};
 use crate::workspace::is_root;
 

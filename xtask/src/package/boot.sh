@@ -75,7 +75,7 @@ active gdp-join
 active gdp-proxy
 active gdp-proxy@home-server
 [ "$(systemctl show -P MainPID gdp-switch)" != "$now" ] || fail "the switch was not started again"
-journalctl --no-pager -u gdp-switch | grep -q 'took over' || fail "the new switch did not take over"
+journalctl --no-pager "_PID=$(systemctl show -P MainPID gdp-switch)" | grep -q 'took over' || fail "the new switch did not take over"
 echo "== leave and purge"
 gdp-proxy leave || fail leave
 systemctl is-active --quiet gdp-proxy && fail "the proxy runs on"

@@ -30,10 +30,13 @@ fn debian(text: &str, version: &str) -> Result<String> {
         entries.insert(0, (version.to_owned(), date.clone(), changes));
     }
     let mut out = String::new();
-    for (version, date, changes) in entries {
+    let count = entries.len();
+    for (at, (version, date, changes)) in entries.into_iter().enumerate() {
+        // A later entry of one day needs a later time.
+        let second = count - at - 1;
         writeln!(out, "gdp ({version}-1) unstable; urgency=medium\n")?;
         changes.iter().for_each(|change| out.push_str(&wrapped(change)));
-        writeln!(out, "\n -- {MAINTAINER}  {} 00:00:00 +0000\n", rfc_2822(&date)?)?;
+        writeln!(out, "\n -- {MAINTAINER}  {} 00:00:{second:02} +0000\n", rfc_2822(&date)?)?;
     }
     Ok(out)
 }

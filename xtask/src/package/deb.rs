@@ -8,8 +8,9 @@ use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
+use super::build::{folder, packaging};
 use super::changelog::MAINTAINER;
-use super::stage::{Package, Staged, packaging};
+use super::stage::{Package, Staged};
 use crate::shell;
 
 const SCRIPTS: [&str; 4] = ["preinst", "postinst", "prerm", "postrm"];
@@ -23,8 +24,8 @@ pub fn write(staged: &Staged) -> Result<Vec<PathBuf>> {
 
 fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBuf> {
     let (arch, version) = (staged.arch.debian(), format!("{}-1", staged.version));
-    let folder = package.tree.join("DEBIAN");
-    fs::create_dir_all(&folder)?;
+    let control_folder = package.tree.join("DEBIAN");
+    fs::create_dir_all(&control_folder)?;
     let head = format!("Package: {}\n", package.name);
     let stanza = control.split("\n\n").find(|stanza| stanza.starts_with(&head));
     let stanza = stanza.with_context(|| format!("packaging/debian/control has no {}", package.name))?;
@@ -35,12 +36,12 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
         size(&package.tree)?.div_ceil(1024),
         rest.replace("VERSION", &version)
     );
-    fs::write(folder.join("control"), fields)?;
+    fs::write(control_folder.join("control"), fields)?;
     for script in SCRIPTS {
         let source = packaging("debian").join(format!("{}.{script}", package.name));
         if source.is_file() {
-            fs::copy(&source, folder.join(script))?;
-            fs::set_permissions(folder.join(script), Permissions::from_mode(0o755))?;
+            fs::copy(&source, control_folder.join(script))?;
+            fs::set_permissions(control_folder.join(script), Permissions::from_mode(0o755))?;
         }
     }
     let overrides = packaging("debian").join(format!("{}.lintian-overrides", package.name));
@@ -53,14 +54,14 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
     let settings: String =
         files.iter().filter(|file| file.starts_with("etc/")).map(|file| format!("/{file}\n")).collect();
     if !settings.is_empty() {
-        fs::write(folder.join("conffiles"), settings)?;
+        fs::write(control_folder.join("conffiles"), settings)?;
     }
     let installed = files.iter().filter(|file| !file.starts_with("DEBIAN/") && !file.starts_with("etc/"));
     let mut sums = Program::Md5sum.command();
     sums.args(installed).current_dir(&package.tree);
-    fs::write(folder.join("md5sums"), execute(&mut sums)? + "\n")?;
+    fs::write(control_folder.join("md5sums"), execute(&mut sums)? + "\n")?;
     open(&package.tree)?;
-    let deb = super::folder().join(format!("{}_{version}_{arch}.deb", package.name));
+    let deb = folder().join(format!("{}_{version}_{arch}.deb", package.name));
     let mut dpkg = Program::DpkgDeb.command();
     dpkg.args(["--root-owner-group", "-Zxz", if staged.is_quick { "-z1" } else { "-z6" }, "--build"]);
     execute(dpkg.arg(&package.tree).arg(&deb))?;

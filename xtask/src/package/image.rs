@@ -11,7 +11,8 @@ use gdp_tests::programs::{Executable as _, Program};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
-use super::Arch;
+use super::arch::Arch;
+use super::build::{folder, packaging};
 use super::stage::Staged;
 
 /// Debian packages of the lower layer. The programs need no others, and no shell.
@@ -36,7 +37,7 @@ struct Layer {
 /// Writes `gdp-VERSION-ARCH.oci.tar`, which `docker load`, `podman load` and skopeo read.
 pub fn write(staged: &Staged) -> Result<PathBuf> {
     ensure!(staged.arch == Arch::Amd64, "the lower layer comes from this machine's Debian, so it is amd64");
-    let work = super::folder().join("image");
+    let work = folder().join("image");
     if work.exists() {
         fs::remove_dir_all(&work)?;
     }
@@ -85,7 +86,7 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     let index = json!({"schemaVersion": 2, "manifests": [manifest]});
     fs::write(work.join("oci/index.json"), serde_json::to_vec(&index)?)?;
     fs::write(work.join("oci/oci-layout"), br#"{"imageLayoutVersion": "1.0.0"}"#)?;
-    let file = super::folder().join(format!("gdp-{}-{}.oci.tar", staged.version, staged.arch.debian()));
+    let file = folder().join(format!("gdp-{}-{}.oci.tar", staged.version, staged.arch.debian()));
     execute(Program::Tar.command().args(["--sort=name", "-cf"]).arg(&file).arg("-C").arg(work.join("oci")).arg("."))?;
     fs::remove_dir_all(&work)?;
     println!("{} ({:.1} MB)", file.display(), file.metadata()?.len() as f64 / 1e6);
@@ -104,7 +105,7 @@ fn lay_out_base(work: &Path, base: &Path) -> Result<()> {
         let _ = fs::remove_dir_all(base.join(unused));
     }
     for file in ["passwd", "group"] {
-        let source = super::stage::packaging("image").join(file);
+        let source = packaging("image").join(file);
         fs::copy(&source, base.join("etc").join(file)).with_context(|| format!("cannot copy {}", source.display()))?;
     }
     Ok(())

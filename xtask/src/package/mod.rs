@@ -1,12 +1,13 @@
 //! `cargo xtask package`: Debian packages, a tar and an image of the OCI, for amd64 and arm64.
 //!
-//! [`compile`] makes the executables for an old glibc. [`stage`] lays out the files of each package,
-//! with [`manuals`]. [`deb`], [`tar`] and [`image`] write them into one file each. [`units`] checks
-//! the units of systemd. `try` installs the packages in a clean Debian root, `boot` in a virtual
-//! machine.
+//! [`compile`] makes the executables for an old glibc. [`stage`] lays out the files of each
+//! package, with [`manuals`]. [`deb`], [`tar`] and [`image`] write them into one file each.
+//! [`units`] checks the units. `try` installs the packages in a clean Debian root, `boot` in a
+//! virtual machine.
 
 mod arch;
 mod boot;
+mod build;
 mod changelog;
 mod compile;
 mod deb;
@@ -17,20 +18,17 @@ mod tar;
 mod trial;
 mod units;
 
-use std::path::PathBuf;
-
 use anyhow::Result;
 
-pub use self::arch::Arch;
-use self::stage::Staged;
+use self::arch::Arch;
+use self::build::Build;
 use crate::setup::{self, Purpose};
-use crate::workspace;
 
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
 pub struct Options {
     #[command(subcommand)]
-    action: Option<Action>,
+    action: Option<PackageAction>,
     /// Make Debian packages, and check them with lintian
     #[arg(long)]
     deb: bool,
@@ -44,25 +42,8 @@ pub struct Options {
     build: Build,
 }
 
-/// The executables to pack.
-#[derive(clap::Args, Clone)]
-pub struct Build {
-    /// Architecture of the packages
-    #[arg(long, value_enum, default_value = "amd64")]
-    arch: Arch,
-    /// Version of the packages, if it is not that of the source
-    #[arg(long, default_value = env!("CARGO_PKG_VERSION"))]
-    version: String,
-    /// Pack executables as the tests build them, with this machine's glibc: to test the packages
-    #[arg(long)]
-    checked: bool,
-    /// Compile without link-time optimisation
-    #[arg(long, conflicts_with = "checked")]
-    quick: bool,
-}
-
 #[derive(clap::Subcommand)]
-enum Action {
+enum PackageAction {
     /// Install, use, upgrade and purge the packages in a clean Debian root (needs root)
     Try(Build),
     /// Boot the packages in a virtual machine with systemd (needs root)
@@ -74,14 +55,14 @@ enum Action {
 pub fn run(options: Options) -> Result<()> {
     setup::ensure(Purpose::Package)?;
     match options.action {
-        Some(Action::Try(build)) => return trial::run(&build),
-        Some(Action::Boot(build)) => return boot::run(&build),
-        Some(Action::Units) => return units::check(),
+        Some(PackageAction::Try(build)) => return trial::run(&build),
+        Some(PackageAction::Boot(build)) => return boot::run(&build),
+        Some(PackageAction::Units) => return units::check(),
         None => {}
     }
     units::check()?;
     let all = !(options.deb || options.tar || options.image);
-    let staged = staged(&options.build)?;
+    let staged = stage::staged(&options.build)?;
     if options.deb || all {
         let debs = deb::write(&staged)?;
         deb::check(&debs)?;
@@ -93,15 +74,4 @@ pub fn run(options: Options) -> Result<()> {
         image::write(&staged)?;
     }
     Ok(())
-}
-
-/// Compiles, and lays out the files of all packages.
-fn staged(build: &Build) -> Result<Staged> {
-    let executables = compile::executables(build)?;
-    stage::lay_out(build, &executables)
-}
-
-/// Returns the folder of packages.
-fn folder() -> PathBuf {
-    workspace::target().join("package")
 }

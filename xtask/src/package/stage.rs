@@ -8,8 +8,10 @@ use anyhow::{Context, Result};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::compile::Executables;
-use super::{Arch, Build, changelog, folder, manuals};
+use super::arch::Arch;
+use super::build::{Build, folder, packaging};
+use super::compile::{self, Executables};
+use super::{changelog, manuals};
 use crate::workspace;
 
 /// A package, with the files that it installs.
@@ -29,7 +31,12 @@ pub struct Package {
 const SWITCH_UNITS: [&str; 2] = ["gdp-switch.service", "gdp-join.service"];
 const PROXY_UNITS: [&str; 2] = ["gdp-proxy.service", "gdp-proxy@.service"];
 
-pub fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
+/// Compiles, and lays out the files of all packages.
+pub fn staged(build: &Build) -> Result<Staged> {
+    lay_out(build, &compile::executables(build)?)
+}
+
+fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     let above = folder().join(build.arch.debian());
     if above.exists() {
         fs::remove_dir_all(&above).with_context(|| format!("cannot remove {}", above.display()))?;
@@ -54,14 +61,10 @@ pub fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     copy_all(&PROXY_UNITS, "systemd", &proxy.join("usr/lib/systemd/system"))?;
     copy_all(&["gdp.conf"], "sysusers.d", &cli.join("usr/lib/sysusers.d"))?;
     copy_all(&["gdp.conf"], "tmpfiles.d", &cli.join("usr/lib/tmpfiles.d"))?;
+    copy_all(&["gdp-switch.conf"], "tmpfiles.d", &switch.join("usr/lib/tmpfiles.d"))?;
     copy_all(&["gdp-switch"], "default", &switch.join("etc/default"))?;
     copy_all(&["gdp-proxy"], "default", &proxy.join("etc/default"))?;
     Ok(Staged { arch: build.arch, version: build.version.clone(), is_quick: build.checked, packages })
-}
-
-/// Returns the path of a file of the folder `packaging`.
-pub fn packaging(file: &str) -> PathBuf {
-    workspace::root().join("packaging").join(file)
 }
 
 fn copy_all(names: &[&str], from: &str, to: &Path) -> Result<()> {

@@ -44,8 +44,6 @@ start() {
     done
     bind=true
     if grep -q '^BindPaths=-/sys/fs/bpf/gdp-switch:/sys/fs/bpf$' "$file"; then
-        mkdir -p -m 0700 /sys/fs/bpf/gdp-switch
-        chown gdp:gdp /sys/fs/bpf/gdp-switch
         bind='mount --bind /sys/fs/bpf/gdp-switch /sys/fs/bpf'
     fi
     # The mount namespace is the unit's own; what is mounted there stays there.

@@ -7,11 +7,12 @@ use anyhow::Result;
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::stage::{Staged, packaging};
+use super::build::{folder, packaging};
+use super::stage::Staged;
 
 pub fn write(staged: &Staged) -> Result<PathBuf> {
     let name = format!("gdp-{}-{}", staged.version, staged.arch.debian());
-    let tree = super::folder().join(&name);
+    let tree = folder().join(&name);
     if tree.exists() {
         fs::remove_dir_all(&tree)?;
     }
@@ -26,10 +27,10 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     // What only dpkg reads.
     let _ = fs::remove_dir_all(tree.join("usr/share/lintian"));
     fs::copy(packaging("INSTALL"), tree.join("INSTALL"))?;
-    let file = super::folder().join(format!("{name}.tar.xz"));
+    let file = folder().join(format!("{name}.tar.xz"));
     let mut tar = Program::Tar.command();
     tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "-cJf"]).arg(&file);
-    execute(tar.current_dir(super::folder()).arg(&name))?;
+    execute(tar.current_dir(folder()).arg(&name))?;
     fs::remove_dir_all(&tree)?;
     println!("{} ({:.1} MB)", file.display(), file.metadata()?.len() as f64 / 1e6);
     Ok(file)

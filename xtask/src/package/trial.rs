@@ -16,8 +16,9 @@ use anyhow::{Context, Result};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::stage::Staged;
-use super::{Build, deb, folder, staged};
+use super::build::{Build, folder};
+use super::deb;
+use super::stage::{Staged, staged};
 use crate::setup::{self, Purpose};
 use crate::shell;
 use crate::workspace::is_root;

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::stage::packaging;
+use super::build::packaging;
 
 /// The exposure that a unit may have, of 10: "OK" in the words of systemd-analyze is below 5.
 const EXPOSURE: f64 = 3.0;

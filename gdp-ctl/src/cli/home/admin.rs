@@ -196,7 +196,13 @@ impl Home {
             serials: serials.iter().map(u64::to_string).collect(),
         };
         let path = self.path("audit.log");
-        let mut file = fs::OpenOptions::new().append(true).create(true).mode(0o600).open(&path)?;
+        let mut file = fs::OpenOptions::new()
+            .append(true)
+            .create(true)
+            .mode(0o600)
+            .custom_flags(libc::O_NOFOLLOW)
+            .open(&path)
+            .with_context(|| path.display().to_string())?;
         let line = serde_json::to_string(&entry)? + "\n";
         file.write_all(line.as_bytes()).and_then(|()| file.sync_all()).with_context(|| path.display().to_string())
     }

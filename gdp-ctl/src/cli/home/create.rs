@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use gdp_core::identity::Identity;
-use gdp_core::secret_file;
+use gdp_core::secret_file::{self, OF_ROOT};
 use gdp_util::folders;
 use gdp_wire::Name;
 
@@ -16,9 +16,6 @@ use crate::cli::domain::{create_domain, quoted};
 
 /// Where the switch of a new domain takes links.
 const DEFAULT_UDP: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::UNSPECIFIED), 31415);
-
-/// The keys that admit members. Only commands use them, no running program.
-const OF_THE_DOMAIN: [&str; 2] = ["domain.pem", "successor.pem"];
 
 /// The choices of `gdp-ctl up`.
 pub struct DomainOptions<'a> {
@@ -80,20 +77,10 @@ impl Home {
         if !(is_same && self.path("gdp.yaml").exists()) {
             self.replace("gdp.yaml", &configuration(&address, wanted.socket)?)?;
         }
-        self.hand_over().with_context(|| format!("{}: its owner", self.folder().display()))?;
+        // The programs of the domain run as that user. The domain's keys remain root's.
+        folders::give_all(self.folder(), &OF_ROOT)
+            .with_context(|| format!("{}: its owner", self.folder().display()))?;
         Ok(Made { domain, switch: switch.name(), is_new })
-    }
-
-    /// Gives the folder to the owner of the folder above, if this is root and that is another user.
-    /// The programs of the domain run as that user. The domain's keys remain root's.
-    fn hand_over(&self) -> std::io::Result<()> {
-        let Some(above) = self.folder().parent().filter(|above| above.exists()) else { return Ok(()) };
-        for entry in std::fs::read_dir(self.folder())?.flatten() {
-            if !OF_THE_DOMAIN.iter().any(|key| entry.file_name() == *key) {
-                folders::give_to_owner_of(above, &entry.path())?;
-            }
-        }
-        folders::give_to_owner_above(self.folder())
     }
 
     pub(super) fn replace(&self, name: &str, text: &str) -> anyhow::Result<()> {

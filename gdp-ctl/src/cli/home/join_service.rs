@@ -84,7 +84,7 @@ async fn serve(home: Home, manager: &mut ServiceManager) -> anyhow::Result<()> {
     let (card, membership) = (home.path("domain.card"), home.member_file(renewals::JOIN));
     let credentials = CredentialFiles { card, membership, peers: Vec::new() };
     let watched = FileSet::new(&watcher, credentials.paths());
-    let node = connect(&home, &key, credentials.load()?).await?;
+    let node = connect(&home, &key, credentials.load()?, manager).await?;
     let mut keeping = std::pin::pin!(node.follow_credentials(&credentials, watched));
     let (directory, join) = (directory_card(key.verify_key())?, join_card(key.verify_key())?);
     let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
@@ -188,7 +188,13 @@ fn own_right(key: &SigningKey, card: &NameCard, entity: Name) -> anyhow::Result<
     Ok(issue(key, &AdCert { name: card.name(), entity, scope: vec![], serial, not_before, not_after })?.into())
 }
 
-async fn connect(home: &Home, key: &SigningKey, credentials: Credentials) -> anyhow::Result<Node> {
+/// Connects to the switch, which may start later.
+async fn connect(
+    home: &Home,
+    key: &SigningKey,
+    credentials: Credentials,
+    manager: &mut ServiceManager,
+) -> anyhow::Result<Node> {
     let address = home.address()?;
     let identity = Identity::new(key.clone(), "tool");
     let target = address.local();
@@ -197,7 +203,12 @@ async fn connect(home: &Home, key: &SigningKey, credentials: Credentials) -> any
     loop {
         match Node::connect(config.clone()).await {
             Ok(node) => return Ok(node),
-            Err(error) if error.may_pass() => tracing::warn!("no switch yet: {error}"),
+            Err(error) if error.may_pass() => {
+                tracing::warn!("no switch yet: {error}");
+                // A restart would not help, and whoever starts the service need not wait.
+                manager.ready("no switch answers yet; trying on");
+                manager.alive(Instant::now());
+            }
             Err(error) => return Err(error.into()),
         }
         tokio::time::sleep(RETRY).await;

@@ -81,6 +81,9 @@ impl HomeOptions {
     fn home(&self) -> anyhow::Result<Home> {
         let default = || Some(gdp_util::folders::configuration()?.join("home"));
         let folder = self.dir.clone().or_else(default).context("no place for the domain: say where with --dir")?;
+        if gdp_util::folders::is_foreign_link(&folder) {
+            anyhow::bail!("{} is a symbolic link of another user, and root does not follow it", folder.display());
+        }
         Ok(Home { folder, key: self.key.clone() })
     }
 }
