@@ -53,8 +53,8 @@ impl AccessToken {
         Self::parse(text.trim()).ok_or_else(|| HttpError::Token(path.into()))
     }
 
-    /// Returns a token if the text is one, [`TOKEN_BYTES`] long. Its characters stand for themselves
-    /// in an address and in a header.
+    /// Returns a token if the text is one, [`TOKEN_BYTES`] long. Its characters stand for
+    /// themselves in an address and in a header.
     pub fn parse(text: &str) -> Option<Self> {
         let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._~-".contains(&byte);
         let is_token = TOKEN_BYTES.contains(&text.len()) && text.bytes().all(is_plain);
@@ -169,7 +169,7 @@ impl Access {
         let has_cookie = cookies(request).any(|pair| cookie.is(pair));
         let query = form_urlencoded::parse(request.uri().query().unwrap_or_default().as_bytes());
         let presented = query.filter(|(key, _)| key == PARAMETER).map(|(_, value)| value).next();
-        // Neither history nor screen keeps an address with a token, whether a cookie is there or not.
+        // The token leaves the address, whether the browser has a cookie or not.
         match presented {
             Some(presented) if token.is(presented.as_bytes()) => {
                 let Cookie { name, value } = cookie;

@@ -34,7 +34,7 @@ use gdp::unstable::called;
 const FRESH: Duration = Duration::from_millis(900);
 
 /// Time that a request waits for a snapshot that is being collected.
-const PATIENCE: Duration = Duration::from_secs(2);
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 /// Age up to which names, labels and members are not asked for again.
 const SLOW: Duration = Duration::from_secs(5);
@@ -112,7 +112,7 @@ impl Collector {
     }
 
     /// Returns the latest snapshot as JSON, at most a second old if the daemon answers within
-    /// [`PATIENCE`]. Blocks that long.
+    /// [`LONGEST_WAIT`]. Blocks that long.
     ///
     /// # Errors
     ///
@@ -129,7 +129,7 @@ impl Collector {
                 now
             }
         };
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + LONGEST_WAIT;
         self.renewed.wait_while_until(&mut collected, |collected| !collected.is_fresh(), until);
         let Some((at, snapshot)) = collected.latest.clone() else {
             bail!("the daemon has not answered for {} s", since.elapsed().as_secs());

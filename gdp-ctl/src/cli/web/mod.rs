@@ -39,10 +39,10 @@ use snapshot::text;
 
 /// Show the switch, its domain and its robots on a web page.
 ///
-/// The page changes nothing. On a terminal, the command prints an address with a token, which lets a
-/// browser of this machine in. Elsewhere, where a log may keep the output, it needs --token-file. The
-/// page shows the topology, links, names, domains, members and events, and
-/// rates as they change. It needs no internet.
+/// The page changes nothing. On a terminal, the command prints an address with a token, which lets
+/// a browser of this machine in. Elsewhere, where a log may keep the output, it needs --token-file.
+/// The page shows the topology, links, names, domains, members and events, and rates as they
+/// change. It needs no internet.
 ///
 /// For a look from elsewhere, forward the port: `ssh -L 8315:127.0.0.1:8315 SWITCH`. A listener on
 /// another address than loopback needs --token-file, and sends everything in clear.
