@@ -56,7 +56,7 @@ impl Model {
             let before = before.and_then(|before| before.switch.as_deref());
             model.notes.extend(switch_notes(switch));
             model.grids.push(links(before, switch, seconds));
-            model.grids.push(names(before, switch, seconds));
+            model.grids.push(names(before, switch, now.proxy.as_deref(), seconds));
             model.grids.push(drops(before, switch, seconds));
         }
         model.grids.push(robots(now));
@@ -70,16 +70,17 @@ fn title(now: &Sample) -> String {
     if let Some(switch) = &now.switch {
         parts.push(format!("switch {:#} ({})", switch.name, switch.data_plane));
         parts.push(format!("{} of {} switches reached", switch.topology.reached, switch.topology.switches));
-        parts.push(format!("{} links", switch.links.len()));
-        parts.push(format!("{} names", switch.fib.names));
-    }
-    if let Some(proxy) = &now.proxy {
-        parts.push(format!("proxy {:#}", proxy.entity));
-        parts.push(format!("{} topics", proxy.topics.len()));
     }
     if !now.robots.is_empty() {
         let online = now.robots.iter().filter(|robot| robot.state == "online").count();
         parts.push(format!("{online} of {} robots online", now.robots.len()));
+    }
+    // A narrow screen cuts what comes last.
+    if let Some(proxy) = &now.proxy {
+        parts.push(format!("proxy {:#}", proxy.entity));
+    }
+    if let Some(switch) = &now.switch {
+        parts.push(format!("names {}", switch.fib.names));
     }
     clean(&parts.join(" · "))
 }
@@ -146,7 +147,7 @@ fn topics(before: Option<&ProxyReply>, proxy: &ProxyReply, now: &Sample, seconds
             topic.topic.clone(),
             topic.direction.to_string(),
             real(row.messages, 1.0),
-            real(row.bytes, 1e6),
+            megabytes(row.bytes),
             lost,
             topic.latency_us.arrival.map_or_else(|| "–".into(), |times| millis(times.p99)),
             topic.readers().map_or_else(|| "–".into(), |readers| readers.to_string()),
@@ -199,14 +200,21 @@ fn links(before: Option<&StatusReply>, switch: &StatusReply, seconds: Option<f64
     }
 }
 
-fn names(before: Option<&StatusReply>, switch: &StatusReply, seconds: Option<f64>) -> Grid {
+fn names(before: Option<&StatusReply>, switch: &StatusReply, proxy: Option<&ProxyReply>, seconds: Option<f64>) -> Grid {
+    // The switch does not know ROS names.
+    let topics: HashMap<_, &str> =
+        proxy.into_iter().flat_map(|proxy| &proxy.topics).map(|topic| (topic.name, topic.topic.as_str())).collect();
     let earlier: HashMap<_, u64> =
         before.into_iter().flat_map(|status| &status.busiest).map(|busy| (busy.name, busy.frames)).collect();
     let row = |busy: &gdp_proto::admin::status::BusyName| {
         let rate = rate(earlier.get(&busy.name).copied(), busy.frames, seconds);
-        (Tone::Plain, vec![format!("{:#}", busy.name), real(rate, 1.0), busy.frames.to_string()])
+        let topic = clean(topics.get(&busy.name).copied().unwrap_or("–"));
+        (Tone::Plain, vec![format!("{:#}", busy.name), real(rate, 1.0), busy.frames.to_string(), topic])
     };
-    Grid { heading: vec!["BUSIEST NAME", "FRAMES/S", "FRAMES, ABOUT"], rows: switch.busiest.iter().map(row).collect() }
+    Grid {
+        heading: vec!["BUSIEST NAME", "FRAMES/S", "FRAMES, ABOUT", "TOPIC"],
+        rows: switch.busiest.iter().map(row).collect(),
+    }
 }
 
 fn drops(before: Option<&StatusReply>, switch: &StatusReply, seconds: Option<f64>) -> Grid {
@@ -240,6 +248,14 @@ fn rate(before: Option<u64>, now: u64, seconds: Option<f64>) -> Option<f64> {
 
 fn real(value: Option<f64>, unit: f64) -> String {
     value.map_or_else(|| "–".into(), |value| format!("{:.1}", value / unit))
+}
+
+/// As [`real`], and a few kilobytes are not zero.
+fn megabytes(bytes: Option<f64>) -> String {
+    match bytes {
+        Some(bytes) if bytes < 1e6 => format!("{:.3}", bytes / 1e6),
+        bytes => real(bytes, 1e6),
+    }
 }
 
 fn is_drop(counter: &str) -> bool {

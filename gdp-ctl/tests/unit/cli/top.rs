@@ -73,11 +73,17 @@ fn rates_are_the_difference_of_two_samples() {
     assert_eq!(find("/scan"), ["/scan", "out", "10.0", "5.0", "2!", "0.9", "ms", "2", "here,030…303", "up"]);
     assert_eq!(find("030…303")[1..], ["switch", "udp", "192.0.2.1:31415", "23.0", "ms", "100.0", "102.0", "2.0"]);
     assert_eq!(find("drop_no_route"), ["drop_no_route", "2.0", "4"]);
-    assert_eq!(find("090…909"), ["090…909", "100.0", "300"]);
+    assert_eq!(find("090…909"), ["090…909", "100.0", "300", "–"]);
     assert_eq!(find("robot7"), ["robot7", "online", "/camera"]);
     assert_eq!(find("RIB"), ["RIB", "not", "reached:", "no", "path"]);
     assert!(lines[0].contains("1 of 1 robots online") && lines[0].contains("1 of 2 switches reached"), "{}", lines[0]);
     assert!(!lines.iter().any(|line| line.contains("drop_stale")), "{lines:#?}");
+    // The proxy knows what the switch's busiest name is, and a few bytes are not zero.
+    now.switch.as_mut().unwrap().busiest[0].name = Name::from_bytes([7; 32]);
+    now.proxy.as_mut().unwrap().topics[1].bytes = before.proxy.as_ref().unwrap().topics[1].bytes + 78_000;
+    let lines = text(&Model::new(Some(&before), &now, SortKey::Messages), 120);
+    assert!(lines.iter().any(|line| line.starts_with("070…707") && line.ends_with("/scan")), "{lines:#?}");
+    assert!(lines.iter().any(|line| line.starts_with("/scan") && line.contains(" 0.039 ")), "{lines:#?}");
 }
 
 #[test]
