@@ -46,12 +46,12 @@ fn switch(sent: u64, dropped: u64) -> Box<StatusReply> {
     Box::new(serde_json::from_value(status).unwrap())
 }
 
-fn sample(at: Instant, proxy: Option<Box<ProxyReply>>, switch: Option<Box<StatusReply>>) -> Sample {
-    Sample { at, switch, proxy, paths: BTreeMap::new(), robots: Vec::new(), problem: None }
+fn sample(at: Instant, proxy: Option<Box<ProxyReply>>, switch: Option<Box<StatusReply>>) -> TopSample {
+    TopSample { at, switch, proxy, paths: BTreeMap::new(), robots: Vec::new(), problem: None }
 }
 
 /// Two samples, two seconds apart.
-fn samples() -> (Sample, Sample) {
+fn samples() -> (TopSample, TopSample) {
     let start = Instant::now();
     let at = start + Duration::from_secs(2);
     let before = [topic("/camera", 100, 5, 41_000, None), topic("/scan", 10, 0, 900, None)];
@@ -142,7 +142,7 @@ fn hostile_text_does_not_reach_the_terminal() {
 
 #[test]
 fn a_program_that_ends_leaves_its_reason() {
-    let failed = Sample::failed(&anyhow::anyhow!("no daemon answers"));
+    let failed = TopSample::failed(&anyhow::anyhow!("no daemon answers"));
     let lines = text(&Model::new(None, &failed, SortKey::Messages), 80);
     assert_eq!(lines, ["gdp-ctl top", "no daemon answers"]);
 }
