@@ -64,7 +64,7 @@ fn rates_are_the_difference_of_two_samples() {
     let (before, mut now) = samples();
     now.paths = [(Name::from_bytes([7; 32]), "here,030…303".to_owned())].into();
     now.robots = vec![RobotState { label: "robot7".into(), state: "online".into(), expose: "/camera".into() }];
-    let lines = text(&Model::new(Some(&before), &now, SortKey::Messages), 120);
+    let lines = text(&Model::new(Some(&before), &now, SortKey::Messages), 140);
     let find = |word: &str| {
         let line = lines.iter().find(|line| line.starts_with(word)).unwrap_or_else(|| panic!("{word}: {lines:#?}"));
         line.split_whitespace().collect::<Vec<_>>()
