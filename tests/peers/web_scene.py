@@ -143,9 +143,12 @@ def start(fleet):
     (fleet.folder / 'applicants.line').write_text(re.search(r'gdp1\S+', line).group())
     fleet.start('applicant', fleet.proxy, 'join', '--file', 'applicants.line', '--label', 'cart4', '--expose', '/odom',
                 '--dir', fleet.folder / 'cart4', '--no-run')
-    fleet.start('web', ctl, 'web', '--listen', f'127.0.0.1:{BASE + 50}', '--dir', home)
+    token = os.urandom(32).hex()
+    with open(os.open(fleet.folder / 'token', os.O_WRONLY | os.O_CREAT, 0o600), 'w') as file:
+        file.write(token)
+    fleet.start('web', ctl, 'web', '--listen', f'127.0.0.1:{BASE + 50}', '--dir', home, '--token-file', 'token')
     wait('the page', lambda: 'token=' in (fleet.folder / 'web.log').read_text())
-    print(re.search(r'http://\S+', (fleet.folder / 'web.log').read_text()).group(), flush=True)
+    print(re.search(r'http://\S+=', (fleet.folder / 'web.log').read_text()).group() + token, flush=True)
     print(fleet.folder, flush=True)
 
 

@@ -9,6 +9,7 @@ use std::path::Path;
 
 use hyper::header::{AUTHORIZATION, COOKIE, HOST};
 use hyper::{Request, StatusCode};
+use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 use zeroize::Zeroizing;
 
@@ -52,9 +53,11 @@ impl AccessToken {
         Self::parse(text.trim()).ok_or_else(|| HttpError::Token(path.into()))
     }
 
-    /// Returns a token if the text is one: visible ASCII, [`TOKEN_BYTES`] long.
+    /// Returns a token if the text is one, [`TOKEN_BYTES`] long. Its characters stand for themselves
+    /// in an address and in a header.
     pub fn parse(text: &str) -> Option<Self> {
-        let is_token = TOKEN_BYTES.contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_graphic());
+        let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._~-".contains(&byte);
+        let is_token = TOKEN_BYTES.contains(&text.len()) && text.bytes().all(is_plain);
         is_token.then(|| Self(Zeroizing::new(text.to_owned())))
     }
 
@@ -65,6 +68,38 @@ impl AccessToken {
 
     fn is(&self, presented: &[u8]) -> bool {
         self.0.as_bytes().ct_eq(presented).into()
+    }
+
+    /// Returns the hash of the token for a purpose.
+    fn derived(&self, purpose: &str) -> Zeroizing<String> {
+        let hash = Sha256::new().chain_update(purpose).chain_update([0]).chain_update(self.0.as_bytes());
+        Zeroizing::new(hex::encode(hash.finalize()))
+    }
+}
+
+/// What a browser keeps instead of the token. It sends that to each port of the same host, so the
+/// name differs between tokens, and the value does not tell the token.
+struct Cookie {
+    name: String,
+    value: Zeroizing<String>,
+}
+
+impl Cookie {
+    fn of(token: &AccessToken, prefix: &str) -> Self {
+        Self {
+            name: format!("{prefix}_{}", &token.derived("gdp-http cookie name")[..8]),
+            value: token.derived("gdp-http cookie value"),
+        }
+    }
+
+    fn is(&self, (name, value): (&str, &str)) -> bool {
+        name == self.name && bool::from(self.value.as_bytes().ct_eq(value.as_bytes()))
+    }
+}
+
+impl fmt::Debug for Cookie {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Cookie({}=…)", self.name)
     }
 }
 
@@ -78,7 +113,7 @@ impl fmt::Debug for AccessToken {
 #[derive(Debug)]
 pub struct Access {
     token: Option<AccessToken>,
-    cookie: Option<&'static str>,
+    cookie: Option<Cookie>,
 }
 
 /// What a request may have.
@@ -86,8 +121,9 @@ pub struct Access {
 pub(crate) enum Admission {
     Granted,
     Refused(StatusCode, &'static str),
-    /// The token is in the address: a browser keeps it as this cookie, and asks for the path alone.
-    Keep(String),
+    /// A token is in the address: a browser asks for the path alone, and keeps this cookie if the
+    /// token is right.
+    Redirect(Option<String>),
 }
 
 impl Access {
@@ -101,10 +137,12 @@ impl Access {
         Self { token: Some(token), cookie: None }
     }
 
-    /// As [`Self::token`], and browsers: the address `/PATH?token=TOKEN` sets a cookie of this
-    /// name, which scripts cannot read and other sites cannot use, and leads to `/PATH`.
-    pub fn token_or_cookie(token: AccessToken, cookie: &'static str) -> Self {
-        Self { token: Some(token), cookie: Some(cookie) }
+    /// As [`Self::token`], and browsers: the address `/PATH?token=TOKEN` sets a cookie, which
+    /// scripts cannot read and other sites cannot use, and leads to `/PATH`. The cookie's name is
+    /// `prefix`, an underscore and a short hash of the token. Its value is another hash.
+    pub fn token_or_cookie(token: AccessToken, prefix: &str) -> Self {
+        let cookie = Some(Cookie::of(&token, prefix));
+        Self { token: Some(token), cookie }
     }
 
     /// Whether other machines may be let in.
@@ -125,17 +163,22 @@ impl Access {
             );
         }
         let Some(token) = &self.token else { return Admission::Granted };
-        let Some(cookie) = self.cookie else {
+        let Some(cookie) = &self.cookie else {
             return Admission::Refused(StatusCode::UNAUTHORIZED, "a bearer token is needed");
         };
-        if cookies(request).any(|(name, value)| name == cookie && token.is(value.as_bytes())) {
-            return Admission::Granted;
-        }
+        let has_cookie = cookies(request).any(|pair| cookie.is(pair));
         let query = form_urlencoded::parse(request.uri().query().unwrap_or_default().as_bytes());
-        let mut presented = query.filter(|(key, _)| key == PARAMETER);
-        if presented.next().is_some_and(|(_, value)| token.is(value.as_bytes())) {
-            let secret = token.secret();
-            return Admission::Keep(format!("{cookie}={secret}; Path=/; HttpOnly; SameSite=Strict"));
+        let presented = query.filter(|(key, _)| key == PARAMETER).map(|(_, value)| value).next();
+        // Neither history nor screen keeps an address with a token, whether a cookie is there or not.
+        match presented {
+            Some(presented) if token.is(presented.as_bytes()) => {
+                let Cookie { name, value } = cookie;
+                let kept = format!("{name}={}; Path=/; HttpOnly; SameSite=Strict", value.as_str());
+                return Admission::Redirect(Some(kept));
+            }
+            Some(_) if has_cookie => return Admission::Redirect(None),
+            None if has_cookie => return Admission::Granted,
+            _ => {}
         }
         Admission::Refused(StatusCode::UNAUTHORIZED, "open the address that has the token")
     }

@@ -17,8 +17,8 @@ pub enum HttpError {
     #[error("every user of this machine may read the token file {}; run `chmod o= {}`", .0.display(), .0.display())]
     Exposed(PathBuf),
     #[error(
-        "the token file {} has no token of 16 to 256 letters, digits and punctuation marks; write one with \
-         `openssl rand -hex 32`", .0.display()
+        "the token file {} has no token of 16 to 256 letters, digits, dots, hyphens, tildes and underscores; write one \
+         with `openssl rand -hex 32`", .0.display()
     )]
     Token(PathBuf),
 }

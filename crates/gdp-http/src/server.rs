@@ -5,6 +5,7 @@ use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -24,8 +25,9 @@ use crate::access::{Access, Admission};
 use crate::error::HttpError;
 use crate::exchange::{HttpRequest, HttpResponse};
 
-/// The maximum number of connections. A further one ends the oldest, so that clients that only
-/// wait do not keep others out.
+/// The maximum number of connections. A further one ends the oldest of those that have not been
+/// admitted yet, else the oldest. So clients that only wait, or have no token, do not keep others
+/// out.
 pub const MAX_CONNECTIONS: usize = 32;
 
 /// The maximum size of a request's header in bytes, and of its fields in number.
@@ -102,7 +104,7 @@ where
     let Listener { listener, access, .. } = listener;
     let shared = Arc::new((access, handler));
     let mut connections = JoinSet::new();
-    let mut by_age: VecDeque<AbortHandle> = VecDeque::new();
+    let mut by_age: VecDeque<Accepted> = VecDeque::new();
     loop {
         let stream = tokio::select! {
             Some(_) = connections.join_next() => continue,
@@ -110,11 +112,14 @@ where
         };
         match stream {
             Ok((stream, _)) => {
-                by_age.retain(|connection| !connection.is_finished());
+                by_age.retain(|connection| !connection.task.is_finished());
                 if by_age.len() >= MAX_CONNECTIONS {
-                    by_age.pop_front().iter().for_each(AbortHandle::abort);
+                    let stranger = by_age.iter().position(|one| !one.is_admitted.load(Ordering::Relaxed));
+                    by_age.remove(stranger.unwrap_or(0)).iter().for_each(|one| one.task.abort());
                 }
-                by_age.push_back(connections.spawn(connection(stream, HEADER_TIMEOUT, shared.clone())));
+                let is_admitted = Arc::<AtomicBool>::default();
+                let served = connection(stream, HEADER_TIMEOUT, is_admitted.clone(), shared.clone());
+                by_age.push_back(Accepted { task: connections.spawn(served), is_admitted });
             }
             Err(error) => {
                 if let Some(suppressed) = WARNINGS.take(Instant::now()) {
@@ -126,15 +131,33 @@ where
     }
 }
 
-async fn connection<H, F>(stream: TcpStream, header_timeout: Duration, shared: Arc<(Access, H)>)
-where
+/// A connection that is being served.
+struct Accepted {
+    task: AbortHandle,
+    /// Whether one of its requests was admitted.
+    is_admitted: Arc<AtomicBool>,
+}
+
+async fn connection<H, F>(
+    stream: TcpStream,
+    header_timeout: Duration,
+    is_admitted: Arc<AtomicBool>,
+    shared: Arc<(Access, H)>,
+) where
     H: Fn(HttpRequest) -> F + Send + Sync + 'static,
     F: Future<Output = HttpResponse> + Send + 'static,
 {
     _ = stream.set_nodelay(true);
     let service = service_fn(|request| {
-        let shared = shared.clone();
-        async move { Ok::<_, Infallible>(respond(&request, &shared.0, &shared.1).await) }
+        let (shared, is_admitted) = (shared.clone(), is_admitted.clone());
+        async move {
+            let (access, handler) = &*shared;
+            let admission = access.admit(&request);
+            if !matches!(admission, Admission::Refused(..)) {
+                is_admitted.store(true, Ordering::Relaxed);
+            }
+            Ok::<_, Infallible>(respond(&request, admission, handler).await)
+        }
     });
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
@@ -155,21 +178,23 @@ where
     }
 }
 
-async fn respond<B, H, F>(request: &Request<B>, access: &Access, handler: &H) -> Response<Full<Bytes>>
+async fn respond<B, H, F>(request: &Request<B>, admission: Admission, handler: &H) -> Response<Full<Bytes>>
 where
     H: Fn(HttpRequest) -> F,
     F: Future<Output = HttpResponse>,
 {
-    let (response, more) = match access.admit(request) {
+    let (response, more) = match admission {
         Admission::Refused(status, why) => (HttpResponse::text(status, why), refusal_header(status)),
         _ if ![Method::GET, Method::HEAD].contains(request.method()) => {
             let refused = HttpResponse::text(StatusCode::METHOD_NOT_ALLOWED, "this server only answers GET");
             (refused, vec![(ALLOW, "GET, HEAD".into())])
         }
-        Admission::Keep(cookie) => {
+        Admission::Redirect(cookie) => {
             // A path that begins with two slashes would lead to another host.
             let path = format!("/{}", request.uri().path().trim_start_matches(['/', '\\']));
-            (HttpResponse::text(StatusCode::SEE_OTHER, ""), vec![(SET_COOKIE, cookie), (LOCATION, path)])
+            let cookie = cookie.map(|cookie| (SET_COOKIE, cookie));
+            let more = cookie.into_iter().chain([(LOCATION, path)]).collect();
+            (HttpResponse::text(StatusCode::SEE_OTHER, ""), more)
         }
         Admission::Granted => (handled(request, handler).await, Vec::new()),
     };

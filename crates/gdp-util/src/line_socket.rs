@@ -4,6 +4,7 @@
 //! Commands that end and clients that watch have slots of their own, so that watchers never keep
 //! commands out. A client without a slot is told so.
 
+use std::fs::{File, TryLockError};
 use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
@@ -35,6 +36,9 @@ const IDLE: Duration = Duration::from_secs(30);
 /// Time for a client to read why it has no slot.
 const REFUSAL: Duration = Duration::from_secs(1);
 
+/// Time to wait for another program that opens its socket in the same folder.
+const TURN: Duration = Duration::from_secs(5);
+
 /// Reasons why the socket does not open.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
@@ -42,6 +46,8 @@ pub enum SocketError {
     InUse(PathBuf),
     #[error("{} exists and is not a socket; remove it, or choose another socket", .0.display())]
     NotASocket(PathBuf),
+    #[error("other programs keep the folder {} locked; end them, or choose another socket", .0.display())]
+    Locked(PathBuf),
     #[error("cannot open the admin socket {}: {source}", path.display())]
     Io { path: PathBuf, source: std::io::Error },
 }
@@ -97,9 +103,10 @@ pub trait Answering: Send + Sync + 'static {
 /// Fails if another program answers there, if another file has the path, and if the system refuses.
 pub fn listen(path: &Path) -> Result<(Listening, UnixListener), SocketError> {
     let io = |source| SocketError::Io { path: path.into(), source };
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(io)?;
-    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(io)?;
+    // Of two programs that start at the same time, the later one finds the socket of the earlier.
+    let _turn = take_turn(folder, TURN).map_err(io)?.ok_or_else(|| SocketError::Locked(folder.into()))?;
     match std::fs::symlink_metadata(path) {
         Ok(found) if !found.file_type().is_socket() => return Err(SocketError::NotASocket(path.into())),
         Ok(_) if std::os::unix::net::UnixStream::connect(path).is_ok() => return Err(SocketError::InUse(path.into())),
@@ -113,6 +120,20 @@ pub fn listen(path: &Path) -> Result<(Listening, UnixListener), SocketError> {
     std::fs::set_permissions(&fresh, std::fs::Permissions::from_mode(0o660)).map_err(io)?;
     std::fs::rename(&fresh, path).map_err(io)?;
     Ok((Listening(path.into()), listener))
+}
+
+/// Locks a folder until the file is dropped. Returns none if others keep it locked for that long.
+fn take_turn(folder: &Path, longest: Duration) -> std::io::Result<Option<File>> {
+    let file = File::open(folder)?;
+    let until = Instant::now() + longest;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(Some(file)),
+            Err(TryLockError::Error(error)) => return Err(error),
+            Err(TryLockError::WouldBlock) if Instant::now() > until => return Ok(None),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(5)),
+        }
+    }
 }
 
 /// Serves clients until it is dropped.

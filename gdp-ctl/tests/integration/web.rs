@@ -115,13 +115,17 @@ fn only_who_has_the_token_and_names_this_machine_is_answered() {
         stream.read_to_string(&mut answer).unwrap();
         answer
     };
-    let cookie = format!("Cookie: gdp_web={token}");
+    let bare = format!("Cookie: gdp_web={token}");
+    assert!(get("/", &[&bare]).starts_with("HTTP/1.1 401"), "the cookie is not the token");
     for path in ["/", "/page.js", "/api/snapshot", "/api/path?name=1", "/?token=0123456789abcdef", "/nothing"] {
         assert!(get(path, &[]).starts_with("HTTP/1.1 401"), "{path}");
     }
-    assert!(get("/", &[&cookie, "Host: evil.example"]).starts_with("HTTP/1.1 421"));
     let first = get(&format!("/?token={token}"), &[]);
     assert!(first.starts_with("HTTP/1.1 303") && first.contains("HttpOnly; SameSite=Strict"), "{first}");
+    let (pair, _) = first.split_once("set-cookie: ").unwrap().1.split_once(';').unwrap();
+    let cookie = format!("Cookie: {pair}");
+    assert!(get("/", &[&cookie, "Host: evil.example"]).starts_with("HTTP/1.1 421"));
+    assert!(get(&format!("/?token={token}"), &[&cookie]).starts_with("HTTP/1.1 303"), "it leaves the address");
     let page = get("/", &[&cookie]);
     assert!(page.starts_with("HTTP/1.1 200"), "{page}");
     for header in ["default-src 'none'", "cache-control: no-store", "x-content-type-options: nosniff"] {
@@ -135,13 +139,37 @@ fn only_who_has_the_token_and_names_this_machine_is_answered() {
 
     let refused = user.refusal(1, &["web", "--listen", "0.0.0.0:0"]);
     assert!(refused.contains("--token-file"), "{refused}");
-    std::fs::write(user.file("token"), "f".repeat(32)).unwrap();
+    let refused = user.refusal(1, &["web", "--listen", "127.0.0.1:0"]);
+    assert!(refused.contains("no terminal") && refused.contains("--token-file"), "{refused}");
     std::fs::set_permissions(user.file("token"), std::fs::Permissions::from_mode(0o604)).unwrap();
     let refused = user.refusal(1, &["web", "--token-file", "token"]);
     assert!(refused.contains("chmod"), "{refused}");
-    std::fs::set_permissions(user.file("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
-    let web = Web::start(&user, &["--dir", "none", "--listen", "127.0.0.1:0", "--token-file", "token"]);
-    assert_eq!(web.token(), "…", "whoever has the file knows it");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_hangs_delays_nobody_and_the_page_says_so() {
+    let user = User::new();
+    let socket = user.file("ctl.sock");
+    // It accepts clients, and never answers.
+    let hangs = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let web = Web::start(&user, &["--dir", "none", "--listen", "127.0.0.1:0"]);
+    let mut browser = Browser::start().await;
+    browser.open(&web.url).await;
+    browser.wait("document.querySelector('#verdict').textContent.includes('daemon has not answered for')").await;
+    // Clients that hang end with the listener, and a daemon takes its place.
+    drop(hangs);
+    std::fs::remove_file(&socket).unwrap();
+    let mut config = crate::switch::config(user.folder.path(), "s1");
+    config.socket = socket.clone();
+    let switch = start(config).await.unwrap();
+    browser.wait("document.querySelector('#verdict').textContent === 'Nothing is down'").await;
+    // What it said last stays, marked with its age.
+    std::fs::rename(&socket, user.file("moved")).unwrap();
+    let _hangs = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    browser.wait("document.querySelector('#verdict').textContent.includes('daemon has not answered for')").await;
+    browser.wait("document.body.classList.contains('stale')").await;
+    assert_eq!(browser.evaluate("document.querySelectorAll('#map circle').length").await, 1);
+    switch.stop().await;
 }
 
 /// A running `gdp-ctl web`.
@@ -153,11 +181,16 @@ struct Web {
 
 impl Web {
     fn start(user: &User, arguments: &[&str]) -> Self {
-        let mut command = user.command(&[&["web"], arguments].concat());
+        let token = "0123456789abcdef".repeat(2);
+        std::fs::write(user.file("token"), &token).unwrap();
+        std::fs::set_permissions(user.file("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
+        let mut command = user.command(&[&["web", "--token-file", "token"], arguments].concat());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut url = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut url).unwrap();
-        let url = url.trim().to_owned();
+        // Whoever has the file knows its token.
+        let (page, "…") = url.trim().split_at(url.find('…').expect(&url)) else { panic!("{url}") };
+        let url = format!("{page}{token}");
         let address = url.strip_prefix("http://").and_then(|rest| rest.split_once('/')).expect(&url).0.to_owned();
         Self { child, url, address }
     }

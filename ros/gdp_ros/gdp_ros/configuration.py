@@ -38,6 +38,10 @@ PATHS = {
 
 MAX_DOMAIN_ID = 232
 
+# The name of the configuration that `gdp-proxy join` writes, and its sections that parameters change.
+CONFIG_NAME = 'proxy.yaml'
+JOINED = {'version': 1, 'expose': {'owner': 'owner.pem', 'catalog': 'catalog.card', 'topics': []}}
+
 
 class ConfigurationError(ValueError):
     """A parameter or file is wrong. The text names it and the remedy."""

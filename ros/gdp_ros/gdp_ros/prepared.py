@@ -1,5 +1,6 @@
 """Reads and writes the files of a launch: what to start, and with which configuration."""
 
+import copy
 import os
 import shutil
 import tempfile
@@ -51,8 +52,20 @@ class Prepared:
         self.folder = None
 
     def must_join(self):
-        """Return whether this machine has yet to join with the token."""
-        return 'token_file' in self.parameters and not os.path.exists(self.base)
+        """Return whether this machine has yet to join with the token.
+
+        Raise if it would join, and then not find the configuration: an invitation serves once.
+        """
+        if 'token_file' not in self.parameters or os.path.exists(self.base):
+            return False
+        folder, name = os.path.split(self.base)
+        if name != configuration.CONFIG_NAME:
+            raise ConfigurationError(
+                f'{self.base} does not exist, and joining writes {configuration.CONFIG_NAME}: with token_file, '
+                f'say config:={os.path.join(folder, configuration.CONFIG_NAME)}')
+        # What is wrong in the parameters themselves shows in the configuration that joining writes.
+        configuration.merged(copy.deepcopy(configuration.JOINED), self.parameters, folder)
+        return True
 
     def write(self):
         """Return the path of the configuration. Where no parameter changes it, that is the file itself."""

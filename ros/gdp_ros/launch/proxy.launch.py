@@ -43,10 +43,18 @@ def after_join(plan):
     """Return the handler that runs the proxy once the machine has joined."""
     def joined(event, context):
         if event.returncode != 0:
-            reason = 'gdp-proxy join failed; its message is above'
-            return [LogInfo(msg=reason), EmitEvent(event=Shutdown(reason=reason))]
-        return proxy(plan)
+            return ended('gdp-proxy join failed; its message is above')
+        try:
+            return proxy(plan)
+        except (ConfigurationError, OSError) as error:
+            return ended(f'this machine has joined, but the proxy cannot start: {error}')
     return joined
+
+
+def ended(reason):
+    """Return the actions that say why, and end the launch."""
+    reason = f'gdp_ros: {reason}'
+    return [LogInfo(msg=reason), EmitEvent(event=Shutdown(reason=reason))]
 
 
 def start(context):

@@ -83,6 +83,25 @@ def test_a_token_joins_first_and_a_failure_ends_the_launch(package, member, tmp_
     Event.returncode = 0
     [process, _] = on_exit(Event, None)
     assert command(process)[1] == config and process.respawn
+    # What only shows after joining ends the launch with the reason too.
+    os.remove(config)
+    [reason, end] = on_exit(Event, None)
+    assert [type(reason).__name__, type(end).__name__] == ['LogInfo', 'EmitEvent']
+    assert 'has joined' in reason.msg and config in reason.msg
+
+
+def test_nothing_joins_that_could_not_start_afterwards(package, member, tmp_path):
+    new = tmp_path / 'new'
+    for values, needle in [({'config': str(new / 'robot.yaml')}, 'config:=.*/new/proxy.yaml'),
+                           ({'config': str(new / 'proxy.yaml'), 'namespace': '9/x'}, 'no ROS namespace'),
+                           ({'config': str(new / 'proxy.yaml'), 'namespace': 'r', 'expose': '/**'}, 'first part')]:
+        with pytest.raises(RuntimeError, match=needle):
+            started(package, token_file='/run/token', **values)
+    # A machine that has joined may call its configuration what it likes.
+    own = member / 'robot.yaml'
+    own.write_text((member / 'proxy.yaml').read_text())
+    _, [process, _] = started(package, token_file='/run/token', config=str(own))
+    assert command(process)[1] == str(own)
 
 
 @pytest.mark.skipif(not REAL, reason='`launch` of ROS 2 is not installed, and no registry has it')

@@ -22,7 +22,7 @@ fn status(admission: Admission) -> u16 {
     match admission {
         Admission::Granted => 200,
         Admission::Refused(status, _) => status.as_u16(),
-        Admission::Keep(_) => 303,
+        Admission::Redirect(_) => 303,
     }
 }
 
@@ -63,13 +63,29 @@ fn a_bearer_token_is_compared_whole() {
 fn a_browser_keeps_the_token_as_a_cookie() {
     let access = Access::token_or_cookie(token(), "gdp");
     let host = ("host", "127.0.0.1:8315");
-    let Admission::Keep(cookie) = access.admit(&request(&format!("/?a=b&token={SECRET}"), &[host])) else {
-        panic!("no cookie")
+    let keep = |access: &Access, secret: &str| match access.admit(&request(&format!("/?a=b&token={secret}"), &[host])) {
+        Admission::Redirect(Some(cookie)) => cookie,
+        other => panic!("no cookie: {other:?}"),
     };
-    assert_eq!(cookie, format!("gdp={SECRET}; Path=/; HttpOnly; SameSite=Strict"));
-    let cookie = format!("other=1; gdp={SECRET}");
+    let kept = keep(&access, SECRET);
+    let pair = kept.strip_suffix("; Path=/; HttpOnly; SameSite=Strict").unwrap();
+    assert!(pair.starts_with("gdp_") && !pair.contains(SECRET), "{pair}");
+    let cookie = format!("other=1; {pair}");
     assert_eq!(status(access.admit(&request("/", &[host, ("cookie", &cookie)]))), 200);
-    assert_eq!(status(access.admit(&request("/", &[host, ("cookie", "gdp=no")]))), 401);
+    let (name, value) = pair.split_once('=').unwrap();
+    for wrong in [format!("{name}=no"), format!("{name}={SECRET}"), format!("gdp={value}"), format!("gdp={SECRET}")] {
+        assert_eq!(status(access.admit(&request("/", &[host, ("cookie", &wrong)]))), 401, "{wrong}");
+    }
+    assert_eq!(status(access.admit(&request(&format!("/?token={value}"), &[host]))), 401, "it is no token");
+    // A second server of this host has another cookie, so a browser keeps both.
+    let other = "f".repeat(32);
+    let elsewhere = keep(&Access::token_or_cookie(AccessToken::parse(&other).unwrap(), "gdp"), &other);
+    assert_ne!(elsewhere.split_once('=').unwrap().0, name);
+    // The token leaves the address also if the cookie is there, and so does one that is not valid.
+    for (query, keeps) in [(format!("/?token={SECRET}"), true), ("/?token=former".to_owned(), false)] {
+        let admission = access.admit(&request(&query, &[host, ("cookie", &cookie)]));
+        assert!(matches!(&admission, Admission::Redirect(kept) if kept.is_some() == keeps), "{admission:?}");
+    }
     assert_eq!(status(access.admit(&request("/?token=no", &[host]))), 401);
     let elsewhere = [("host", "evil.example"), ("cookie", &*cookie)];
     assert_eq!(status(access.admit(&request("/", &elsewhere))), 421);
@@ -88,6 +104,10 @@ fn a_token_file_is_private_and_has_a_token() {
     assert!(read(SECRET, 0o644).unwrap_err().contains("chmod o="));
     assert!(read("short", 0o600).unwrap_err().contains("openssl rand -hex 32"));
     assert!(read(&"x".repeat(300), 0o600).is_err());
+    for mark in [';', '+', '%', '&', '#', '=', '"', '\\', '/', 'ä', ' '] {
+        assert!(read(&format!("{SECRET}{mark}{SECRET}"), 0o600).unwrap_err().contains("tildes"), "{mark}");
+    }
+    assert!(read(&format!("._~-AZaz09{SECRET}"), 0o600).is_ok());
     assert!(
         AccessToken::from_file(folder.path().join("none").as_path()).unwrap_err().to_string().contains("cannot read")
     );

@@ -103,3 +103,35 @@ fn the_socket_is_for_user_and_group_and_has_one_program() {
     std::fs::write(&file, "").unwrap();
     assert!(matches!(listen(&file), Err(SocketError::NotASocket(_))));
 }
+
+#[test]
+fn of_programs_that_start_together_one_gets_the_socket() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.sock");
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    for round in 0..30 {
+        // A crashed program has left its file.
+        drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+        let start = std::sync::Barrier::new(4);
+        let started: Vec<_> = std::thread::scope(|scope| {
+            let program = || {
+                let _entered = runtime.enter();
+                start.wait();
+                listen(&path)
+            };
+            let programs: Vec<_> = (0..4).map(|_| scope.spawn(program)).collect();
+            programs.into_iter().map(|program| program.join().unwrap()).collect()
+        });
+        let (opened, refused): (Vec<_>, Vec<_>) = started.into_iter().partition(Result::is_ok);
+        assert_eq!(opened.len(), 1, "round {round}");
+        assert!(refused.iter().all(|refused| matches!(refused, Err(SocketError::InUse(_)))), "{refused:?}");
+        assert!(Client::connect(&path).is_ok(), "round {round}");
+    }
+}
+
+#[test]
+fn a_folder_that_stays_locked_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let _locked = take_turn(folder.path(), Duration::ZERO).unwrap().unwrap();
+    assert!(take_turn(folder.path(), Duration::from_millis(20)).unwrap().is_none());
+}

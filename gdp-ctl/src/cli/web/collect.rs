@@ -1,18 +1,24 @@
 //! Collects snapshots while somebody looks at the page: at most one a second, however many look.
 //! Names and members change slowly and cost more, so they are asked for every 5 seconds.
+//!
+//! One thread collects. A request waits a little for it, then gets the last snapshot with its age,
+//! so a daemon that does not answer delays nobody.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context as _, bail};
 use gdp_proto::admin::Request;
 use gdp_proto::admin::links::PeersReply;
 use gdp_proto::admin::status::StatusReply;
 use gdp_proto::admin::tables::{FibReply, RibReply};
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_util::unix_time::unix_seconds;
-use parking_lot::Mutex;
+use parking_lot::{Condvar, Mutex};
+use serde::Serialize;
 
 use super::events::RecentEvents;
 use super::problems;
@@ -27,6 +33,9 @@ use gdp::unstable::called;
 /// Age up to which a snapshot serves further requests.
 const FRESH: Duration = Duration::from_millis(900);
 
+/// Time that a request waits for a snapshot that is being collected.
+const PATIENCE: Duration = Duration::from_secs(2);
+
 /// Age up to which names, labels and members are not asked for again.
 const SLOW: Duration = Duration::from_secs(5);
 
@@ -38,17 +47,42 @@ pub struct Collector {
     home: HomeOptions,
     keyring: Option<PathBuf>,
     events: Arc<RecentEvents>,
-    latest: Mutex<Latest>,
+    collected: Mutex<Collected>,
+    /// A snapshot has been collected.
+    renewed: Condvar,
+    /// Only the thread that collects keeps this locked.
+    slow: Mutex<Slow>,
+    labels: Mutex<Labels>,
     begun: Instant,
     members: Arc<Members>,
 }
 
 #[derive(Default)]
-struct Latest {
-    /// JSON text.
-    snapshot: Option<(Instant, Arc<str>)>,
+struct Collected {
+    latest: Option<(Instant, Arc<PageSnapshot>)>,
+    /// The thread that collects, and when it began.
+    collecting: Option<(Instant, JoinHandle<()>)>,
+}
+
+impl Collected {
+    fn is_fresh(&self) -> bool {
+        self.latest.as_ref().is_some_and(|(at, _)| at.elapsed() < FRESH)
+    }
+}
+
+/// What is not asked for each time.
+#[derive(Default)]
+struct Slow {
     names: Option<(Instant, NamesInUse)>,
-    labels: Option<(Instant, Labels)>,
+    labels_read: Option<Instant>,
+}
+
+/// A snapshot, and how long it has been there.
+#[derive(Serialize)]
+struct AgedSnapshot<'a> {
+    age_ms: u64,
+    #[serde(flatten)]
+    snapshot: &'a PageSnapshot,
 }
 
 /// The members, which a thread of their own reads: another command may have locked their files.
@@ -68,30 +102,52 @@ impl Collector {
             home,
             keyring,
             events,
-            latest: Mutex::default(),
+            collected: Mutex::default(),
+            renewed: Condvar::new(),
+            slow: Mutex::default(),
+            labels: Mutex::default(),
             begun: Instant::now(),
             members: Arc::default(),
         }
     }
 
-    /// Returns a snapshot that is at most a second old, as JSON. Blocks.
-    pub fn snapshot(&self) -> Arc<str> {
-        let mut latest = self.latest.lock();
-        if let Some((at, snapshot)) = &latest.snapshot
-            && at.elapsed() < FRESH
-        {
-            return snapshot.clone();
-        }
-        let snapshot = self.collect(&mut latest);
-        // Numbers and texts are always JSON.
-        let json: Arc<str> = serde_json::to_string(&snapshot).unwrap_or_default().into();
-        latest.snapshot = Some((Instant::now(), json.clone()));
-        json
+    /// Returns the latest snapshot as JSON, at most a second old if the daemon answers within
+    /// [`PATIENCE`]. Blocks that long.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no snapshot yet.
+    pub fn snapshot(self: &Arc<Self>) -> anyhow::Result<String> {
+        let mut collected = self.collected.lock();
+        let since = match &collected.collecting {
+            Some((since, thread)) if !thread.is_finished() => *since,
+            _ if collected.is_fresh() => Instant::now(),
+            _ => {
+                let (now, collector) = (Instant::now(), self.clone());
+                let thread = std::thread::Builder::new().name("collector".into()).spawn(move || collector.collect());
+                collected.collecting = Some((now, thread.context("cannot start a thread")?));
+                now
+            }
+        };
+        let until = Instant::now() + PATIENCE;
+        self.renewed.wait_while_until(&mut collected, |collected| !collected.is_fresh(), until);
+        let Some((at, snapshot)) = collected.latest.clone() else {
+            bail!("the daemon has not answered for {} s", since.elapsed().as_secs());
+        };
+        drop(collected);
+        let age_ms = at.elapsed().as_millis() as u64;
+        Ok(serde_json::to_string(&AgedSnapshot { age_ms, snapshot: &snapshot })?)
     }
 
-    fn collect(&self, latest: &mut Latest) -> PageSnapshot {
+    fn collect(&self) {
+        let snapshot = Arc::new(self.collect_from(&mut self.slow.lock()));
+        self.collected.lock().latest = Some((Instant::now(), snapshot));
+        self.renewed.notify_all();
+    }
+
+    fn collect_from(&self, slow: &mut Slow) -> PageSnapshot {
         self.read_members();
-        self.read_labels(latest);
+        self.read_labels(slow);
         let mut snapshot = PageSnapshot {
             at_ms: unix_millis(),
             uptime_ms: self.begun.elapsed().as_millis() as u64,
@@ -99,8 +155,8 @@ impl Collector {
             ..PageSnapshot::default()
         };
         let mut found = Vec::new();
-        let labels = latest.labels.as_ref().map(|(_, labels)| labels.clone()).unwrap_or_default();
-        if let Err(error) = self.ask(&mut snapshot, &mut found, &mut latest.names, &labels) {
+        let labels = self.labels();
+        if let Err(error) = self.ask(&mut snapshot, &mut found, &mut slow.names, &labels) {
             snapshot.no_daemon = Some(text(&error.to_string()));
             found.push(Problem { severity: Severity::Down, what: text(&error.to_string()) });
         }
@@ -146,8 +202,8 @@ impl Collector {
     }
 
     /// Reads what people call names: cards of the keyring, and labels of members.
-    fn read_labels(&self, latest: &mut Latest) {
-        if !is_old(&latest.labels) {
+    fn read_labels(&self, slow: &mut Slow) {
+        if slow.labels_read.is_some_and(|at| at.elapsed() < SLOW) {
             return;
         }
         let mut labels = Labels::default();
@@ -160,7 +216,8 @@ impl Collector {
             let members = robots.members.iter().filter(|member| member.fingerprint.is_none());
             labels.0.extend(members.filter_map(|member| Some((member.entity?, member.label.clone()))));
         }
-        latest.labels = Some((Instant::now(), labels));
+        *self.labels.lock() = labels;
+        slow.labels_read = Some(Instant::now());
     }
 
     /// Starts to read the members again, if what is known of them is old.
@@ -183,7 +240,7 @@ impl Collector {
 
     /// Returns the labels of the latest snapshot.
     pub fn labels(&self) -> Labels {
-        self.latest.lock().labels.as_ref().map(|(_, labels)| labels.clone()).unwrap_or_default()
+        self.labels.lock().clone()
     }
 }
 

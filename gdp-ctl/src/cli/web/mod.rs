@@ -15,6 +15,7 @@ mod problems;
 mod snapshot;
 mod view;
 
+use std::io::IsTerminal as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -38,8 +39,9 @@ use snapshot::text;
 
 /// Show the switch, its domain and its robots on a web page.
 ///
-/// The page changes nothing. The command prints an address with a token, which lets a browser of
-/// this machine in. The page shows the topology, links, names, domains, members and events, and
+/// The page changes nothing. On a terminal, the command prints an address with a token, which lets a
+/// browser of this machine in. Elsewhere, where a log may keep the output, it needs --token-file. The
+/// page shows the topology, links, names, domains, members and events, and
 /// rates as they change. It needs no internet.
 ///
 /// For a look from elsewhere, forward the port: `ssh -L 8315:127.0.0.1:8315 SWITCH`. A listener on
@@ -49,7 +51,8 @@ pub struct Options {
     /// Address and port to listen on, or a port of 127.0.0.1.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8315", value_parser = parse_address)]
     listen: SocketAddr,
-    /// File with the token, of mode 0600, instead of a new one for each start.
+    /// File with the token, of mode 0600, instead of a new one for each start. A token is 16 to 256
+    /// letters, digits, dots, hyphens, tildes and underscores.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Folder with name cards, for the ROS names of the names. Default: ~/.config/gdp, or /etc/gdp
@@ -67,7 +70,7 @@ pub struct WebOutput {
     url: String,
 }
 
-/// The cookie in which a browser keeps the token.
+/// Begins the name of the cookie that a browser keeps.
 const COOKIE: &str = "gdp_web";
 
 /// Only what this server sends, and no markup made by scripts.
@@ -85,14 +88,16 @@ const SCRIPTS: [(&str, &str); 3] = [
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let token = match &options.token_file {
         Some(file) => AccessToken::from_file(file)?,
-        None if options.listen.ip().to_canonical().is_loopback() => {
-            AccessToken::random().context("no random numbers")?
-        }
-        None => anyhow::bail!(
+        None if !options.listen.ip().to_canonical().is_loopback() => anyhow::bail!(
             "{} is reached by other machines, so the page needs a token of yours; say where it is with --token-file, \
              or listen on 127.0.0.1",
             options.listen
         ),
+        None if !std::io::stdout().is_terminal() => anyhow::bail!(
+            "the output is no terminal, and a log may keep the address with its token; write a token with \
+             `umask 077 && openssl rand -hex 32 > FILE`, and say where it is with --token-file"
+        ),
+        None => AccessToken::random().context("no random numbers")?,
     };
     let secret = options.token_file.is_none().then(|| token.secret().to_owned());
     let keyring = options.keyring.or_else(folders::configuration);
@@ -107,7 +112,13 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         let url = format!("http://{address}/?token={}", secret.as_deref().unwrap_or("…"));
         let output = WebOutput { url };
         context.output.print(&output, || [output.url.clone()])?;
-        note("gdp-ctl: open this address in a browser; it holds a secret; ^C ends the page");
+        note(match &options.token_file {
+            None => "gdp-ctl: open this address in a browser; it holds a secret; ^C ends the page".into(),
+            Some(file) => format!(
+                "gdp-ctl: open this address in a browser, with the token in {} at its end; ^C ends the page",
+                file.display()
+            ),
+        });
         let one_path = Arc::new(Semaphore::new(1));
         tokio::select! {
             () = serve(listener, move |request| answer(request, collector.clone(), one_path.clone())) => {}
@@ -127,7 +138,7 @@ async fn answer(request: HttpRequest, collector: Arc<Collector>, one_path: Arc<S
         "/style.css" => HttpResponse::ok("text/css; charset=utf-8", STYLE),
         "/api/snapshot" => {
             let snapshot = tokio::task::spawn_blocking(move || collector.snapshot()).await;
-            json(snapshot.map(|snapshot| snapshot.to_string()).map_err(Into::into))
+            json(snapshot.map_err(Into::into).flatten())
         }
         "/api/path" => path_answer(&request, collector, one_path).await,
         path => match SCRIPTS.iter().find(|(of, _)| *of == path) {

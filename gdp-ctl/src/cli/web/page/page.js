@@ -213,8 +213,13 @@ function small(panel, text) {
 }
 
 let shown = -1;
+// Older snapshots are no longer how things are.
+const STALE_MS = 5000;
 
 function show(snapshot) {
+  if (snapshot.age_ms > STALE_MS) {
+    verdict("down stale", `The daemon has not answered for ${spanText(snapshot.age_ms / 1000)}`);
+  }
   // The same one again.
   if (snapshot.uptime_ms === shown) return;
   shown = snapshot.uptime_ms;
@@ -256,17 +261,20 @@ function show(snapshot) {
 
 let failingSince = null;
 
+// What the server says is wrong.
+class Reason extends Error {}
+
 async function refresh() {
   try {
     const response = await fetch("/api/snapshot", { signal: AbortSignal.timeout(8000) });
-    if (response.status === 401) throw new Error("The token is another one now: open the address that gdp-ctl web printed");
-    if (!response.ok) throw new Error((await response.text()).trim());
+    if (response.status === 401) throw new Reason("The token is another one now: open the address that gdp-ctl web printed");
+    if (!response.ok) throw new Reason((await response.text()).trim());
     show(await response.json());
     failingSince = null;
   } catch (error) {
     failingSince ??= new Date();
     const since = failingSince.toLocaleTimeString("en-GB");
-    const known = error.message.startsWith("The token") ? error.message : "gdp-ctl web does not answer";
+    const known = error instanceof Reason ? error.message : "gdp-ctl web does not answer";
     verdict("down stale", `${known}, since ${since}`);
   }
 }
