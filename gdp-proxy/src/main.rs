@@ -102,10 +102,16 @@ enum Command {
         stats: Option<PathBuf>,
     },
     /// Print the completions of commands and options for a shell
-    Completion { shell: clap_complete::Shell },
+    Completion {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
     /// Write a manual page for each command into a folder
     #[command(hide = true)]
-    Manual { folder: PathBuf },
+    Manual {
+        /// The folder
+        folder: PathBuf,
+    },
     /// Leave the trust domain: end the membership of this machine and remove its files
     Leave {
         /// Leave even if the domain does not answer

@@ -169,6 +169,7 @@ enum Command {
     Doctor(doctor::Options),
     /// Print the completions of commands and options for a shell.
     Completion {
+        /// The shell.
         shell: clap_complete::Shell,
     },
     /// Write a manual page for each command into a folder.

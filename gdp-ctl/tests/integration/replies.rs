@@ -35,6 +35,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
         "name": name, "data_plane": "userspace", "data_plane_reason": "asked for", "interfaces": [interface],
         "dpdk_processor_time_us": [7], "udp": "192.0.2.1:31415", "links": [link],
         "links_in_grace": [{"peer": other, "role": "endpoint", "address": "a", "id": 8, "errors_received": {}}],
+        "refused_total": {"link": {"NotAdmitted": 2}},
         "refused": [{"peer": name, "what": "link", "reason": "no", "count": 2, "age_s": 3}],
         "handshakes": {"challenged": 1, "refused": 2, "displaced": 3, "failed": 4}, "counters": {"forwarded": 9},
         "counters_by_plane": {"forwarded": {"kernel": 4, "userspace": 5}}, "busiest": [{"name": other, "frames": 64}],

@@ -19,7 +19,7 @@ use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers
 use tokio::signal::unix::{SignalKind, signal};
 
 use self::model::Model;
-use self::sample::{Sample, Sources};
+use self::sample::{Sources, TopSample};
 use self::sort_key::SortKey;
 use super::home::HomeOptions;
 use crate::cli::context::Context;
@@ -79,7 +79,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 fn show(
     terminal: &mut DefaultTerminal,
     sources: &mut Sources,
-    first: Sample,
+    first: TopSample,
     mut sort: SortKey,
     stopped: &AtomicBool,
 ) -> anyhow::Result<()> {
@@ -92,7 +92,7 @@ fn show(
             let rest = due.saturating_duration_since(Instant::now());
             if rest.is_zero() {
                 // A program that is restarted comes back.
-                let next = sources.sample().unwrap_or_else(|error| Sample::failed(&error));
+                let next = sources.sample().unwrap_or_else(|error| TopSample::failed(&error));
                 (before, now, due) = (Some(now), next, Instant::now() + PERIOD);
                 break;
             }

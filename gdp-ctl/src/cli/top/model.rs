@@ -9,7 +9,7 @@ use gdp_proto::admin::proxy::{ProxyReply, ProxyTopic};
 use gdp_proto::admin::status::{StatusReply, Warning};
 use gdp_util::escape::Escaped;
 
-use super::sample::Sample;
+use super::sample::TopSample;
 use super::sort_key::SortKey;
 use crate::cli::proxy_status::{millis, state};
 
@@ -43,7 +43,7 @@ pub struct Model {
 
 impl Model {
     /// `before` is the sample of which rates are the difference.
-    pub fn new(before: Option<&Sample>, now: &Sample, sort: SortKey) -> Self {
+    pub fn new(before: Option<&TopSample>, now: &TopSample, sort: SortKey) -> Self {
         let seconds = before.map(|before| now.at.saturating_duration_since(before.at).as_secs_f64());
         let mut model = Self { title: title(now), notes: Vec::new(), grids: Vec::new(), sort };
         model.notes.extend(now.problem.iter().map(|problem| (Tone::Alert, clean(problem))));
@@ -65,7 +65,7 @@ impl Model {
     }
 }
 
-fn title(now: &Sample) -> String {
+fn title(now: &TopSample) -> String {
     let mut parts = vec!["gdp-ctl top".to_owned()];
     if let Some(switch) = &now.switch {
         parts.push(format!("switch {:#} ({})", switch.name, switch.data_plane));
@@ -118,7 +118,13 @@ struct TopicRow<'a> {
     is_losing: bool,
 }
 
-fn topics(before: Option<&ProxyReply>, proxy: &ProxyReply, now: &Sample, seconds: Option<f64>, sort: SortKey) -> Grid {
+fn topics(
+    before: Option<&ProxyReply>,
+    proxy: &ProxyReply,
+    now: &TopSample,
+    seconds: Option<f64>,
+    sort: SortKey,
+) -> Grid {
     let key = |topic: &ProxyTopic| (topic.graph.clone(), topic.topic.clone(), topic.direction.as_str(), topic.name);
     let earlier: HashMap<_, _> =
         before.into_iter().flat_map(|it| &it.topics).map(|topic| (key(topic), topic)).collect();
@@ -228,7 +234,7 @@ fn drops(before: Option<&StatusReply>, switch: &StatusReply, seconds: Option<f64
     Grid { heading: vec!["DROP", "FRAMES/S", "FRAMES"], rows: reasons.map(row).collect() }
 }
 
-fn robots(now: &Sample) -> Grid {
+fn robots(now: &TopSample) -> Grid {
     let row = |robot: &super::sample::RobotState| {
         let tone = match robot.state.as_str() {
             "online" | "joined" => Tone::Plain,

@@ -23,7 +23,7 @@ const ROBOTS: Duration = Duration::from_secs(5);
 
 /// The state at one moment.
 #[derive(Clone, Debug)]
-pub struct Sample {
+pub struct TopSample {
     pub at: Instant,
     pub switch: Option<Box<StatusReply>>,
     pub proxy: Option<Box<ProxyReply>>,
@@ -42,7 +42,7 @@ pub struct RobotState {
     pub expose: String,
 }
 
-impl Sample {
+impl TopSample {
     /// A moment in which nobody answered.
     pub fn failed(error: &anyhow::Error) -> Self {
         let problem = Some(format!("{error:#}"));
@@ -65,8 +65,8 @@ impl<'a> Sources<'a> {
     }
 
     /// Asks both programs. Fails if neither answers.
-    pub fn sample(&mut self) -> anyhow::Result<Sample> {
-        let mut sample = Sample {
+    pub fn sample(&mut self) -> anyhow::Result<TopSample> {
+        let mut sample = TopSample {
             at: Instant::now(),
             switch: None,
             proxy: None,

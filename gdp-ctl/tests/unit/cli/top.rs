@@ -46,12 +46,12 @@ fn switch(sent: u64, dropped: u64) -> Box<StatusReply> {
     Box::new(serde_json::from_value(status).unwrap())
 }
 
-fn sample(at: Instant, proxy: Option<Box<ProxyReply>>, switch: Option<Box<StatusReply>>) -> Sample {
-    Sample { at, switch, proxy, paths: BTreeMap::new(), robots: Vec::new(), problem: None }
+fn sample(at: Instant, proxy: Option<Box<ProxyReply>>, switch: Option<Box<StatusReply>>) -> TopSample {
+    TopSample { at, switch, proxy, paths: BTreeMap::new(), robots: Vec::new(), problem: None }
 }
 
 /// Two samples, two seconds apart.
-fn samples() -> (Sample, Sample) {
+fn samples() -> (TopSample, TopSample) {
     let start = Instant::now();
     let at = start + Duration::from_secs(2);
     let before = [topic("/camera", 100, 5, 41_000, None), topic("/scan", 10, 0, 900, None)];
@@ -64,7 +64,7 @@ fn rates_are_the_difference_of_two_samples() {
     let (before, mut now) = samples();
     now.paths = [(Name::from_bytes([7; 32]), "here,030…303".to_owned())].into();
     now.robots = vec![RobotState { label: "robot7".into(), state: "online".into(), expose: "/camera".into() }];
-    let lines = text(&Model::new(Some(&before), &now, SortKey::Messages), 120);
+    let lines = text(&Model::new(Some(&before), &now, SortKey::Messages), 140);
     let find = |word: &str| {
         let line = lines.iter().find(|line| line.starts_with(word)).unwrap_or_else(|| panic!("{word}: {lines:#?}"));
         line.split_whitespace().collect::<Vec<_>>()
@@ -148,7 +148,7 @@ fn hostile_text_does_not_reach_the_terminal() {
 
 #[test]
 fn a_program_that_ends_leaves_its_reason() {
-    let failed = Sample::failed(&anyhow::anyhow!("no daemon answers"));
+    let failed = TopSample::failed(&anyhow::anyhow!("no daemon answers"));
     let lines = text(&Model::new(None, &failed, SortKey::Messages), 80);
     assert_eq!(lines, ["gdp-ctl top", "no daemon answers"]);
 }

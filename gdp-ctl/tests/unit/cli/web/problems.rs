@@ -13,7 +13,7 @@ pub fn healthy() -> (Value, Value, Value) {
     let status = json!({
         "name": own, "data_plane": "userspace", "data_plane_reason": "", "interfaces": [],
         "dpdk_processor_time_us": [], "udp": "192.0.2.1:31415", "links": [], "links_in_grace": [], "refused": [],
-        "handshakes": {"challenged": 0, "refused": 0, "displaced": 0, "failed": 0}, "counters": {"forwarded": 9},
+        "refused_total": {}, "handshakes": {"challenged": 0, "refused": 0, "displaced": 0, "failed": 0}, "counters": {"forwarded": 9},
         "counters_by_plane": {}, "busiest": [], "fib": {"names": 1, "generation": 2, "own_bit": 1},
         "topology": {"switches": 2, "reached": 2}, "rib": {"names": 1, "switches": 2},
         "domain": {"name": own, "role": "switch", "not_after": NOW + 30 * 86400, "error": null, "members_only": true,
