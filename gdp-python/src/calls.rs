@@ -1,15 +1,13 @@
 //! Clients and servers.
 
-use std::sync::Arc;
-
 use crate::runtime::awaitable;
 use gdp::{Client, IncomingCall, Server};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use tokio::sync::Mutex;
 
 use crate::errors::raised;
+use crate::receiving::{Receive, Receiving};
 use crate::topics::{NativeSample, Payload};
 
 /// Calls a service.
@@ -38,23 +36,33 @@ impl NativeClient {
 #[pyclass(frozen, name = "Server", module = "gdp._gdp")]
 pub struct NativeServer {
     name: String,
-    server: Arc<Mutex<Server>>,
+    server: Receiving<Server>,
+}
+
+impl Receive for Server {
+    type Received = NativeCall;
+
+    async fn receive(&mut self) -> PyResult<Option<NativeCall>> {
+        let call = self.recv().await.map_err(raised)?;
+        Ok(call.map(|call| NativeCall(std::sync::Mutex::new(Some(call)))))
+    }
 }
 
 impl NativeServer {
     pub fn new(server: Server) -> Self {
-        Self { name: server.name().to_string(), server: Mutex::new(server).into() }
+        Self { name: server.name().to_string(), server: Receiving::new(server) }
     }
 }
 
 #[pymethods]
 impl NativeServer {
-    fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let server = self.server.clone();
-        awaitable(py, async move {
-            let call = server.lock().await.recv().await.map_err(raised)?;
-            Ok(call.map(|call| NativeCall(std::sync::Mutex::new(Some(call)))))
-        })
+    #[pyo3(signature = (timeout=None))]
+    fn ready<'py>(&self, py: Python<'py>, timeout: Option<f64>) -> PyResult<Bound<'py, PyAny>> {
+        self.server.ready(py, timeout)
+    }
+
+    fn take(&self) -> PyResult<Vec<Option<NativeCall>>> {
+        self.server.take()
     }
 
     #[getter]

@@ -32,6 +32,6 @@ pub fn encoding_name(encoding: Encoding) -> String {
         Encoding::Json => "json".into(),
         Encoding::Cdr => "cdr".into(),
         Encoding::Ros1 => "ros1".into(),
-        Encoding::Other(number) => number.to_string(),
+        other => u16::from(other).to_string(),
     }
 }

@@ -31,7 +31,7 @@ pub fn raised(error: Error) -> PyErr {
         Error::Switch(_) | Error::Keyring(_) | Error::Key { .. } | Error::Credentials(_) => ConfigError::new_err(text),
         Error::Find(_) | Error::Members(_) => NotFoundError::new_err(text),
         Error::Right(_) | Error::Ended(_) => RightsError::new_err(text),
-        Error::NoReply { .. } | Error::Unflushed { .. } => NoReplyError::new_err(text),
+        Error::NoReply { .. } | Error::NoServer { .. } | Error::Unflushed { .. } => NoReplyError::new_err(text),
         Error::Fabric(_) => LinkError::new_err(text),
         _ => GdpError::new_err(text),
     }

@@ -8,10 +8,12 @@
 mod calls;
 mod convert;
 mod errors;
+mod receiving;
 mod ros;
 mod runtime;
 mod session;
 mod topics;
+mod values;
 
 use pyo3::prelude::*;
 

@@ -1,15 +1,15 @@
-//! Publishers and subscribers of ROS messages, whose values are JSON texts here.
+//! Publishers and subscribers of ROS messages. Those to send are JSON texts here.
 
-use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
 use crate::runtime::awaitable;
-use gdp_ros::sdk::{DynamicPublisher, DynamicSubscriber};
+use gdp_ros::sdk::{DynamicMessage, DynamicPublisher, DynamicSubscriber};
 use pyo3::prelude::*;
-use tokio::sync::Mutex;
 
 use crate::convert::seconds;
 use crate::errors::{raised, ros_raised};
+use crate::receiving::{Receive, Receiving};
+use crate::values;
 
 /// Publishes ROS messages.
 #[pyclass(frozen, name = "RosPublisher", module = "gdp._gdp")]
@@ -46,19 +46,32 @@ impl NativeRosPublisher {
 
 /// Reads ROS messages of any type.
 #[pyclass(frozen, name = "RosSubscriber", module = "gdp._gdp")]
-pub struct NativeRosSubscriber(pub Arc<Mutex<DynamicSubscriber>>);
+pub struct NativeRosSubscriber(pub Receiving<DynamicSubscriber>);
+
+/// Type, fields, source and time of a message.
+type RosMessage<'py> = (String, Bound<'py, PyAny>, String, f64);
+
+impl Receive for DynamicSubscriber {
+    type Received = DynamicMessage;
+
+    async fn receive(&mut self) -> PyResult<Option<DynamicMessage>> {
+        self.recv().await.map_err(ros_raised)
+    }
+}
 
 #[pymethods]
 impl NativeRosSubscriber {
-    /// Returns type, JSON text, source and time of the next message, or nothing at the end.
-    fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let subscriber = self.0.clone();
-        awaitable(py, async move {
-            let received = subscriber.lock().await.recv().await.map_err(ros_raised)?;
-            Ok(received.map(|message| {
-                let time = message.time.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-                (message.type_name, message.value.to_string(), message.source.to_string(), time)
-            }))
-        })
+    #[pyo3(signature = (timeout=None))]
+    fn ready<'py>(&self, py: Python<'py>, timeout: Option<f64>) -> PyResult<Bound<'py, PyAny>> {
+        self.0.ready(py, timeout)
+    }
+
+    fn take<'py>(&self, py: Python<'py>) -> PyResult<Vec<Option<RosMessage<'py>>>> {
+        let object = |message: DynamicMessage| {
+            let value = values::message(py, &message.schema, &message.value)?;
+            let time = message.time.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+            Ok((message.type_name, value, message.source.to_string(), time))
+        };
+        self.0.take()?.into_iter().map(|message| message.map(object).transpose()).collect()
     }
 }

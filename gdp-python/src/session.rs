@@ -3,24 +3,26 @@
 use std::path::PathBuf;
 
 use crate::runtime::awaitable;
-use gdp::{Config, Keyring, Session};
+use gdp::{Config, Keyring, LinkTargetError, Session};
 use gdp_ros::sdk::RosSession as _;
 use pyo3::prelude::*;
-use tokio::sync::Mutex;
 
 use crate::calls::{NativeClient, NativeServer};
 use crate::convert::{parse_encoding, seconds};
-use crate::errors::{raised, ros_raised};
+use crate::errors::{ConfigError, raised, ros_raised};
+use crate::receiving::Receiving;
 use crate::ros::{NativeRosPublisher, NativeRosSubscriber};
 use crate::topics::{NativePublisher, NativeSubscriber};
 
-/// Attaches to a switch. The package looks at the environment.
+/// Attaches to a switch. The package looks at the environment: `switch_of` says where `switch` is
+/// from.
 #[pyfunction]
-#[pyo3(signature = (keyring=None, switch=None, key=None, timeout=10.0))]
+#[pyo3(signature = (keyring, switch, switch_of, key, timeout))]
 pub fn open(
     py: Python<'_>,
     keyring: Option<PathBuf>,
     switch: Option<String>,
+    switch_of: String,
     key: Option<PathBuf>,
     timeout: f64,
 ) -> PyResult<Bound<'_, PyAny>> {
@@ -29,7 +31,10 @@ pub fn open(
         let keyring = keyring.map_or_else(Keyring::default_folder, Ok).map_err(|error| raised(error.into()))?;
         let mut config = Config::new(keyring);
         if let Some(switch) = switch {
-            config = config.switch(switch.parse().map_err(|error| raised(gdp::Error::Switch(error)))?);
+            let target = switch.parse();
+            let target =
+                target.map_err(|error: LinkTargetError| ConfigError::new_err(format!("{switch_of}: {error}")))?;
+            config = config.switch(target);
         }
         if let Some(key) = key {
             config = config.key(key);
@@ -108,7 +113,7 @@ impl NativeSession {
         let ros = definitions.into_iter().fold(self.0.ros(), |ros, folder| ros.definitions(folder));
         awaitable(py, async move {
             let subscriber = ros.dynamic_subscriber(topic).await.map_err(ros_raised)?;
-            Ok(NativeRosSubscriber(Mutex::new(subscriber).into()))
+            Ok(NativeRosSubscriber(Receiving::new(subscriber)))
         })
     }
 

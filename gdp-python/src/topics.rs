@@ -1,26 +1,39 @@
 //! Publishers and subscribers of bytes.
 
-use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
 use crate::runtime::awaitable;
 use gdp::{Publisher, Sample, Subscriber};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::pybacked::{PyBackedBytes, PyBackedStr};
-use pyo3::types::PyBytes;
-use tokio::sync::Mutex;
+use pyo3::types::{PyBytes, PyString};
 
 use crate::convert::{encoding_name, seconds};
 use crate::errors::raised;
+use crate::receiving::{Receive, Receiving};
 
 /// The content of a message: bytes, or a text that is sent as UTF-8.
-#[derive(FromPyObject)]
 pub enum Payload {
     /// `bytes` or `bytearray`.
     Bytes(PyBackedBytes),
     /// `str`.
     Text(PyBackedStr),
+}
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Payload {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        if let Ok(bytes) = given.extract() {
+            return Ok(Self::Bytes(bytes));
+        }
+        if given.is_instance_of::<PyString>() {
+            return given.extract().map(Self::Text);
+        }
+        let got = given.get_type().name()?;
+        Err(PyTypeError::new_err(format!("a payload is bytes, bytearray or str, and not {got}")))
+    }
 }
 
 impl AsRef<[u8]> for Payload {
@@ -72,23 +85,32 @@ impl NativePublisher {
 #[pyclass(frozen, name = "Subscriber", module = "gdp._gdp")]
 pub struct NativeSubscriber {
     name: String,
-    subscriber: Arc<Mutex<Subscriber>>,
+    subscriber: Receiving<Subscriber>,
+}
+
+impl Receive for Subscriber {
+    type Received = NativeSample;
+
+    async fn receive(&mut self) -> PyResult<Option<NativeSample>> {
+        Ok(self.recv().await.map_err(raised)?.map(NativeSample))
+    }
 }
 
 impl NativeSubscriber {
     pub fn new(subscriber: Subscriber) -> Self {
-        Self { name: subscriber.name().to_string(), subscriber: Mutex::new(subscriber).into() }
+        Self { name: subscriber.name().to_string(), subscriber: Receiving::new(subscriber) }
     }
 }
 
 #[pymethods]
 impl NativeSubscriber {
-    fn recv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let subscriber = self.subscriber.clone();
-        awaitable(py, async move {
-            let sample = subscriber.lock().await.recv().await.map_err(raised)?;
-            Ok(sample.map(NativeSample))
-        })
+    #[pyo3(signature = (timeout=None))]
+    fn ready<'py>(&self, py: Python<'py>, timeout: Option<f64>) -> PyResult<Bound<'py, PyAny>> {
+        self.subscriber.ready(py, timeout)
+    }
+
+    fn take(&self) -> PyResult<Vec<Option<NativeSample>>> {
+        self.subscriber.take()
     }
 
     #[getter]

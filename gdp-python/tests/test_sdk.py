@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import os
 import subprocess
 import sys
@@ -169,6 +170,128 @@ def test_two_tasks_attach_one_handle_and_its_end_flushes():
             assert [type(result) for result in results] == [gdp.NoReplyError] * 2, results
 
     run(main())
+
+
+def test_giving_up_loses_no_message():
+    async def main():
+        async with opened("robot") as robot, opened("laptop") as laptop:
+            subscriber = await laptop.subscribe("/bytes")
+            publisher = await robot.publisher("/bytes", reliable=True)
+            await publisher.wait_for_readers()
+
+            async def talk():
+                for i in range(400):
+                    await publisher.put(str(i))
+                    await asyncio.sleep(0.001)
+
+            talking, got, given_up = asyncio.create_task(talk()), [], 0
+            while len(got) < 400:
+                receiving = asyncio.create_task(subscriber.recv(0.0015 if len(got) % 3 == 0 else None))
+                await asyncio.sleep(0.0005 if len(got) % 2 else 0.002)
+                receiving.cancel()
+                try:
+                    got.append(int((await receiving).text()))
+                except (asyncio.CancelledError, TimeoutError):
+                    given_up += 1
+            await talking
+            assert got == list(range(400)) and given_up > 10, given_up
+            with pytest.raises(TimeoutError):
+                await subscriber.recv(0.05)
+            await publisher.put("at once")
+            await publisher.flush()
+            await asyncio.sleep(0.5)
+            assert (await subscriber.recv(0)).text() == "at once"
+
+    run(main())
+
+
+def test_giving_up_loses_no_message_in_the_blocking_form():
+    with gdp.blocking.open(keyring("robot"), SWITCH) as robot, gdp.blocking.open(keyring("laptop"), SWITCH) as laptop:
+        subscriber, publisher = laptop.subscribe("/bytes"), robot.publisher("/bytes", reliable=True)
+        publisher.wait_for_readers()
+
+        def talk():
+            for i in range(200):
+                publisher.put(str(i))
+                time.sleep(0.001)
+
+        talking, got, given_up = threading.Thread(target=talk), [], 0
+        talking.start()
+        while len(got) < 200:
+            try:
+                got.append(int(subscriber.recv(timeout=0.0005).text()))
+            except TimeoutError:
+                given_up += 1
+        talking.join()
+        assert got == list(range(200)) and given_up > 10, given_up
+
+
+def test_values_of_ros_are_those_of_python():
+    async def main():
+        async with opened("robot") as robot, opened("laptop") as laptop:
+            subscriber = await laptop.ros_subscribe("/scan")
+            publisher = await robot.ros_publisher("/scan", "sensor_msgs/msg/LaserScan")
+            await publisher.wait_for_readers()
+            await publisher.put({"ranges": [1, math.inf, -math.inf, math.nan], "range_max": math.inf})
+            ranges = (await subscriber.recv())["ranges"]
+            assert ranges[:3] == [1.0, math.inf, -math.inf] and math.isnan(ranges[3]), ranges
+            assert {type(value) for value in ranges} == {float} and min(ranges[:3]) == -math.inf
+            with pytest.raises(gdp.MessageError, match="set"):
+                await publisher.put({"ranges": {1}})
+            image = await laptop.ros_subscribe("/image")
+            camera = await robot.ros_publisher("/image", "sensor_msgs/msg/Image")
+            await camera.wait_for_readers()
+            await camera.put({"data": bytes(range(256)), "height": 1})
+            got = await image.recv()
+            assert got["data"] == bytes(range(256)) and got["height"] == 1 and got["header"]["stamp"]["sec"] == 0
+            assert gdp.topic.as_json({"a": ranges, "b": b"hi"}) == \
+                '{"a": [1.0, "Infinity", "-Infinity", "NaN"], "b": "aGk="}'
+
+    run(main())
+
+
+def test_wrong_arguments_are_named():
+    async def main():
+        with pytest.raises(gdp.ConfigError, match="^switch: "):
+            await gdp.open(keyring("robot"), "nonsense")
+        async with opened("robot") as robot:
+            publisher = await robot.publisher("/bytes")
+            with pytest.raises(TypeError, match="bytes, bytearray or str, and not int"):
+                await publisher.put(5)
+
+    run(main())
+
+
+PROGRAM = """
+import os, gdp, gdp.blocking
+session = gdp.blocking.open()
+publisher = session.publisher("/bytes", reliable=True)
+publisher.wait_for_readers()
+publisher.put("last words")
+child = os.fork()
+if child == 0:
+    try:
+        publisher.put("from the child")
+    except gdp.GdpError as error:
+        os._exit(7 if "spawn" in str(error) else 8)
+    os._exit(9)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+def test_a_forked_process_is_refused_and_the_end_of_python_closes_sessions():
+    with gdp.blocking.open(keyring("laptop"), SWITCH) as laptop:
+        subscriber = laptop.subscribe("/bytes")
+        environment = {**os.environ, "GDP_KEYRING": keyring("robot"), "GDP_SWITCH": SWITCH}
+        program = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True,
+                                 text=True, timeout=TIMEOUT)
+        assert (program.stdout, program.returncode) == ("7\n", 0), program.stderr
+        assert subscriber.recv(timeout=TIMEOUT).text() == "last words"
+
+
+def test_texts_of_others_do_not_steer_the_terminal():
+    assert gdp.topic.printable("a\x1b[2J\u202eb\n") == "a\\x1b[2J\\u202eb\\n"
+    assert list(gdp.topic.lines({"a\x1b": "\x1b"})) == ['a\\x1b: "\\u001b"']
 
 
 def command(label, *arguments):

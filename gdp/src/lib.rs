@@ -52,6 +52,21 @@ pub use session::{
     Session, Subscriber, SubscriberBuilder, open,
 };
 
+/// The errors within [`Error`], for programs that tell them apart.
+pub mod errors {
+    pub use crate::node::{Ended, NodeError, Stated, Unflushed};
+    pub use gdp_core::domain::{DomainError, PaperFileError};
+    pub use gdp_core::secret_file::SecretFileError;
+    pub use gdp_directory::catalog::CatalogError;
+    pub use gdp_directory::directory::DirectoryError;
+    pub use gdp_e2e::keys::RingError;
+    pub use gdp_e2e::seal::SealError;
+    pub use gdp_link::link::LinkError;
+    pub use gdp_link::port::LinkAddr;
+    pub use gdp_link::tunnel::TunnelError;
+    pub use gdp_proto::control::{Refusal, RefusalCode};
+}
+
 /// The low-level API, for the programs of this project: it changes without notice.
 ///
 /// A [`Node`](unstable::Node) publishes and reads names with cards and certificates that the caller

@@ -47,7 +47,7 @@ async fn clones_of_a_publisher_send_from_many_tasks_and_close_waits_for_the_read
     let card = site.name("topic", "/chatter", &robot, &[&laptop]);
     let (talking, listening) = (site.session(&robot).await, site.session(&laptop).await);
     // By the first digits of the name, and as a stream.
-    let samples = listening.subscriber(&card.name().to_string()[..12]).reliable().await.unwrap();
+    let samples = listening.subscriber(&card.name().to_string()[..12]).queue(usize::MAX).reliable().await.unwrap();
     let publisher = talking.publisher("chatter").reliable().encoding(Encoding::Json).await.unwrap();
     publisher.wait_for_readers(1).await.unwrap();
     let senders = (0..8).map(|task| {
@@ -98,6 +98,82 @@ async fn a_stream_ends_with_the_reason_when_the_right_expires() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_receive_that_is_cancelled_loses_nothing() {
+    let site = Site::new().await;
+    let (robot, laptop) = (site.keyring("robot"), site.keyring("laptop"));
+    site.name("topic", "/chatter", &robot, &[&laptop]);
+    site.name("service", "/light", &robot, &[&laptop]);
+    let (talking, listening) = (site.session(&robot).await, site.session(&laptop).await);
+    let mut subscriber = listening.subscriber("/chatter").reliable().await.unwrap();
+    let publisher = talking.publisher("/chatter").reliable().await.unwrap();
+    publisher.wait_for_readers(1).await.unwrap();
+    let publishing = tokio::spawn(async move {
+        for message in 0..500 {
+            publisher.put(message.to_string()).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        publisher
+    });
+    let (mut cancelled, short) = (0, Duration::from_micros(200));
+    for expected in 0..500 {
+        let sample = loop {
+            match tokio::time::timeout(short, subscriber.recv()).await {
+                Ok(sample) => break sample.unwrap().unwrap(),
+                Err(_) => cancelled += 1,
+            }
+        };
+        assert_eq!(sample.text().unwrap(), expected.to_string());
+    }
+    assert!(cancelled > 10, "{cancelled}");
+    drop(publishing.await.unwrap());
+
+    let mut server = talking.server("/light").await.unwrap();
+    let client = listening.client("/light").await.unwrap();
+    let calling = tokio::spawn(async move {
+        for request in 0..50 {
+            let request = request.to_string();
+            assert_eq!(client.call(&request).await.unwrap().text().unwrap(), request);
+        }
+    });
+    let mut answered = 0;
+    while answered < 50 {
+        if let Ok(call) = tokio::time::timeout(short, server.recv()).await {
+            let call = call.unwrap().unwrap();
+            let request = call.payload().clone();
+            call.reply(request).await.unwrap();
+            answered += 1;
+        }
+    }
+    tokio::time::timeout(TIMEOUT, calling).await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rights_that_are_added_or_renewed_in_the_folder_are_taken() {
+    let site = Site::new().await;
+    let (robot, laptop) = (site.keyring("robot"), site.keyring("laptop"));
+    let (talking, listening) = (site.session(&robot).await, site.session(&laptop).await);
+    assert!(matches!(listening.subscriber("/chatter").await, Err(Error::Find(_))));
+    let card = site.name("topic", "/chatter", &robot, &[&laptop]);
+    let grant = |time| {
+        let grant = site.owner.allow_read(&card, laptop.1.name()).valid_for(time).sign().unwrap();
+        std::fs::write(laptop.0.join("chatter.grant"), grant.to_pem()).unwrap();
+    };
+    let short = Duration::from_secs(3);
+    grant(short);
+    let mut subscriber = listening.subscriber("/chatter").await.unwrap();
+    grant(Duration::from_secs(3600));
+    subscriber.renew().await.unwrap();
+    // The first grant ends meanwhile.
+    tokio::time::sleep(short + Duration::from_secs(1)).await;
+    let publisher = talking.publisher("/chatter").reliable().await.unwrap();
+    publisher.wait_for_readers(1).await.unwrap();
+    publisher.renew().await.unwrap();
+    publisher.put("still there").await.unwrap();
+    let sample = tokio::time::timeout(TIMEOUT, subscriber.recv()).await.unwrap().unwrap().unwrap();
+    assert_eq!(sample.text().unwrap(), "still there");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_is_missing_is_named_with_its_remedy() {
     let site = Site::new().await;
     let (robot, laptop) = (site.keyring("robot"), site.keyring("laptop"));
@@ -112,7 +188,7 @@ async fn what_is_missing_is_named_with_its_remedy() {
     assert!(error.to_string().contains("gdp-ctl grant add"), "{error}");
     let client = session.client("/light").timeout(Duration::from_millis(200)).await.unwrap();
     let silent = client.call("on").await.unwrap_err();
-    assert!(matches!(silent, Error::NoReply { .. }) && silent.may_pass(), "{silent}");
+    assert!(matches!(silent, Error::NoServer { .. }) && silent.may_pass(), "{silent}");
 
     let nowhere = gdp::open(Config::new(site.folder.path().join("nowhere"))).await.unwrap_err().to_string();
     assert!(nowhere.contains("GDP_KEYRING"), "{nowhere}");

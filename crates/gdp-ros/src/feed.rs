@@ -156,7 +156,7 @@ struct ReaderConverters {
 
 /// A decoded message.
 pub struct Decoded<'a> {
-    pub schema: &'a Schema,
+    pub schema: &'a Arc<Schema>,
     /// The message type itself.
     pub root: &'a Base,
     pub value: Value,

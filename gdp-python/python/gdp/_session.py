@@ -2,14 +2,41 @@
 
 import asyncio
 import atexit
+import base64
 import json
 import os
+import time
 from dataclasses import dataclass
 from typing import Any
 
 from . import _gdp
 
-atexit.register(_gdp.finish)
+
+class _Process:
+    """Whether this process may use the extension, whose threads a fork does not copy."""
+
+    def __init__(self):
+        self.is_used = self.is_forked = False
+        os.register_at_fork(after_in_child=self._forked)
+        atexit.register(self._finish)
+
+    def _forked(self):
+        self.is_forked = self.is_used
+
+    def _finish(self):
+        if not self.is_forked:
+            _gdp.finish()
+
+    def use(self):
+        if self.is_forked:
+            raise _gdp.GdpError(
+                "a session does not survive a fork; start processes with 'spawn', as"
+                " multiprocessing.get_context('spawn') does, and open sessions in them"
+            )
+        self.is_used = True
+
+
+_process = _Process()
 
 
 class _Attaching:
@@ -25,6 +52,7 @@ class _Attaching:
         return self._attached().__await__()
 
     async def _attached(self):
+        _process.use()
         # One task attaches, and others wait for it.
         async with self._attaching:
             if self._closed:
@@ -44,10 +72,23 @@ class _Attaching:
 class _Receiving(_Attaching):
     """A handle that receives, until the session is closed."""
 
-    async def recv(self):
-        """Return the next one, or None after the session is closed."""
+    async def recv(self, timeout=None):
+        """Return the next one, or None after the session is closed. Raises TimeoutError.
+
+        A call that is cancelled or times out loses nothing: the next call returns it.
+        """
         await self._attached()
-        return await self._native.recv()
+        native = self._native
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            await native.ready(left)
+            received = native.take()
+            if received:
+                return received[0]
+            # Another task took it, or the time is over.
+            if deadline is not None and time.monotonic() >= deadline:
+                raise TimeoutError(f"nothing in {timeout} s")
 
     def __aiter__(self):
         return self
@@ -102,6 +143,15 @@ class Publisher(_Publishing):
         return await self._native.put(payload)
 
 
+def _plain(value):
+    """Return what JSON has for a value that it does not know."""
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return base64.b64encode(value).decode()
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a field cannot be {type(value).__name__}")
+
+
 class RosPublisher(_Publishing):
     """Publishes ROS messages from dictionaries."""
 
@@ -109,9 +159,13 @@ class RosPublisher(_Publishing):
         """Send a message and return its sequence number.
 
         `message` is a dictionary with fields, or a text in YAML. Omitted fields have their defaults.
+        Arrays of bytes may be `bytes`, and arrays of numbers may be those of numpy.
         """
         await self._attached()
-        text = message if isinstance(message, str) else json.dumps(message)
+        try:
+            text = message if isinstance(message, str) else json.dumps(message, default=_plain)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise _gdp.MessageError(f"no ROS message: {error}") from None
         return await self._native.put_text(text)
 
 
@@ -126,20 +180,20 @@ class Server(_Receiving):
 class RosSubscriber(_Receiving):
     """Reads ROS messages of any type: `async for message in subscriber`."""
 
-    async def recv(self):
-        """Return the next message, or None after the session is closed."""
-        received = await super().recv()
+    async def recv(self, timeout=None):
+        """Return the next message, or None after the session is closed. Raises TimeoutError."""
+        received = await super().recv(timeout)
         if received is None:
             return None
-        type_name, text, source, time = received
-        return RosMessage(type_name, json.loads(text), source, time)
+        type_name, value, source, sent = received
+        return RosMessage(type_name, value, source, sent)
 
 
 @dataclass(frozen=True)
 class RosMessage:
     """A ROS message: its fields are in `value`, and `message["data"]` is `message.value["data"]`.
 
-    Arrays of bytes are base64, and integers beyond 2**53 are text.
+    Arrays of bytes are `bytes`, and floating-point fields are `float`, also NaN and infinities.
     """
 
     type_name: str
@@ -236,5 +290,6 @@ def open(keyring=None, switch=None, *, key=None, timeout=10.0):
     or where this machine joined, or this machine's own switch.
     """
     keyring = keyring or os.environ.get("GDP_KEYRING")
+    switch_of = "switch" if switch else "GDP_SWITCH"
     switch = switch or os.environ.get("GDP_SWITCH")
-    return Session(lambda: _gdp.open(keyring, switch, key, timeout))
+    return Session(lambda: _gdp.open(keyring, switch, switch_of, key, timeout))

@@ -8,8 +8,11 @@ Each session has a thread with a loop of asyncio. Handles may be used from any t
 """
 
 import asyncio
+import atexit
 import concurrent.futures
+import sys
 import threading
+import weakref
 
 from . import _session
 from ._gdp import GdpError
@@ -24,6 +27,11 @@ class _Loop:
         self.thread.start()
 
     def run(self, coroutine, timeout=None):
+        try:
+            _session._process.use()
+        except GdpError:
+            coroutine.close()
+            raise
         if not self.thread.is_alive() or self.loop.is_closed():
             coroutine.close()
             raise GdpError("the session is closed")
@@ -68,15 +76,7 @@ class _Handle:
 class _Receiving(_Handle):
     def recv(self, timeout=None):
         """Return the next one, or None after the session is closed. Raises TimeoutError."""
-
-        async def receive():
-            return await asyncio.wait_for(self._handle.recv(), timeout)
-
-        try:
-            return self._loop.run(receive())
-        except asyncio.TimeoutError:
-            # Python has one kind of it only from 3.11 on.
-            raise TimeoutError(f"nothing in {timeout} s") from None
+        return self._loop.run(self._handle.recv(timeout))
 
     def __iter__(self):
         return self
@@ -160,8 +160,29 @@ class Client(_Handle):
         return self._handle.servers
 
 
+# Those that a program leaves open. They are closed when Python ends, if no fork has copied them.
+_open_sessions = weakref.WeakSet()
+
+
+@atexit.register
+def _close_all():
+    if not _session._process.is_forked:
+        for session in list(_open_sessions):
+            try:
+                session.close()
+            except GdpError as error:
+                print(f"gdp: {error}", file=sys.stderr)
+
+
 class Session(_Handle):
-    """An entity that is attached to a switch: `with gdp.blocking.open() as session`."""
+    """An entity that is attached to a switch: `with gdp.blocking.open() as session`.
+
+    A session that is still open when Python ends is closed then.
+    """
+
+    def __init__(self, loop, handle):
+        super().__init__(loop, handle)
+        _open_sessions.add(self)
 
     def __exit__(self, kind, *_):
         try:

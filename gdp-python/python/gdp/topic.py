@@ -5,7 +5,9 @@
 """
 
 import argparse
+import base64
 import json
+import math
 import os
 import sys
 import time
@@ -48,14 +50,36 @@ def count(text):
     return number
 
 
+def printable(text):
+    """Return a text without characters that steer a terminal or turn the direction of writing."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def as_json(value):
+    """Return JSON, in ASCII. It has base64 for bytes, and text for NaN and infinities."""
+    return json.dumps(plain(value))
+
+
+def plain(value):
+    if isinstance(value, dict):
+        return {name: plain(field) for name, field in value.items()}
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
 def lines(value, indent=""):
     """Return the lines of a value in YAML. Texts and numbers are those of JSON, which YAML includes."""
     for name, field in value.items():
         if isinstance(field, dict) and field:
-            yield f"{indent}{name}:"
+            yield f"{indent}{printable(name)}:"
             yield from lines(field, indent + "  ")
         else:
-            yield f"{indent}{name}: {json.dumps(field)}"
+            yield f"{indent}{printable(name)}: {as_json(field)}"
 
 
 def echo(session, options):
@@ -64,12 +88,12 @@ def echo(session, options):
         try:
             message = subscriber.recv()
         except MessageError as error:
-            print(f"gdp.topic: left out: {error}", file=sys.stderr)
+            print(f"gdp.topic: left out: {printable(error)}", file=sys.stderr)
             continue
         if message is None:
             return
         if options.json:
-            print(json.dumps(message.value), flush=True)
+            print(as_json(message.value), flush=True)
         else:
             print("\n".join([*lines(message.value), "---"]), flush=True)
         if options.once:
@@ -86,7 +110,7 @@ def pub(session, options):
             time.sleep(1 / options.rate)
         count += 1
         publisher.put(options.values)
-        print(f"publishing #{count}: {options.values}", flush=True)
+        print(f"publishing #{count}: {printable(options.values)}", flush=True)
     publisher.flush()
 
 
@@ -96,7 +120,7 @@ def main(argv=None):
         with blocking.open(options.keyring, options.switch) as session:
             {"echo": echo, "pub": pub}[options.verb](session, options)
     except GdpError as error:
-        print(f"gdp.topic: {error}", file=sys.stderr)
+        print(f"gdp.topic: {printable(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -13,6 +13,8 @@ async fn pytest_passes_at_a_real_switch() {
     for (kind, name, of) in [
         ("topic", "/bytes", "bytes"),
         ("topic", "/text", "std_msgs/msg/String"),
+        ("topic", "/scan", "sensor_msgs/msg/LaserScan"),
+        ("topic", "/image", "sensor_msgs/msg/Image"),
         ("topic", "/twist", "geometry_msgs/msg/Twist"),
         ("service", "/light", "bytes"),
     ] {

@@ -19,17 +19,19 @@ async fn programs_in_rust_and_python_talk_to_a_listener_of_ros() {
     let (in_rust, in_python, proxy) = (site.keyring("rust"), site.keyring("python"), site.keyring("proxy"));
     site.allow(&site.card("topic", "/chatter", "std_msgs/msg/String"), &[&in_rust, &in_python], &[&proxy]);
     let domain = lease();
-    let _proxy =
+    let mut proxy =
         site.proxy(&proxy, domain, "{topic: /chatter, card: chatter.card, grant: chatter.grant, direction: in}");
     let mut listener = Program::start(site.node(domain, "listen"));
 
-    let talker = Program::start(site.sdk(own(example("ros_talker")), &in_rust));
-    listener.line(|line| line.starts_with("hello") && !line.contains("Python")).await;
+    let mut talker = Program::start(site.sdk(own(example("ros_talker")), &in_rust));
+    listener.line(&mut [&mut proxy, &mut talker], |line| line.starts_with("hello") && !line.contains("Python")).await;
     drop(talker);
     let mut talker = site.python("venv-sdk");
     talker.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/ros_talker.py"));
-    let _talker = Program::start(site.sdk(talker, &in_python));
-    listener.line(|line| line.starts_with("hello") && line.ends_with("from Python")).await;
+    let mut talker = Program::start(site.sdk(talker, &in_python));
+    listener
+        .line(&mut [&mut proxy, &mut talker], |line| line.starts_with("hello") && line.ends_with("from Python"))
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -38,15 +40,16 @@ async fn programs_in_rust_and_python_listen_to_a_talker_of_ros() {
     let (in_rust, in_python, proxy) = (site.keyring("rust"), site.keyring("python"), site.keyring("proxy"));
     site.allow(&site.card("topic", "/chatter", "std_msgs/msg/String"), &[&proxy], &[&in_rust, &in_python]);
     let domain = lease();
-    let _proxy = site.proxy(&proxy, domain, "{topic: /chatter, card: chatter.card, cert: chatter.ad, direction: out}");
-    let _talker = Program::start(site.node(domain, "talk"));
+    let mut proxy =
+        site.proxy(&proxy, domain, "{topic: /chatter, card: chatter.card, cert: chatter.ad, direction: out}");
+    let mut talker = Program::start(site.node(domain, "talk"));
 
     let mut listener = Program::start(site.sdk(own(example("ros_listener")), &in_rust));
-    listener.line(|line| line == "hello from ROS").await;
+    listener.line(&mut [&mut proxy, &mut talker], |line| line == "hello from ROS").await;
     let mut listener = site.python("venv-sdk");
     listener.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/ros_listener.py"));
     let mut listener = Program::start(site.sdk(listener, &in_python));
-    listener.line(|line| line == "hello from ROS").await;
+    listener.line(&mut [&mut proxy, &mut talker], |line| line == "hello from ROS").await;
 }
 
 impl Site {
@@ -86,7 +89,7 @@ fn example(name: &str) -> impl AsRef<Path> {
 
 /// A running program, until it is dropped.
 struct Program {
-    _child: Child,
+    child: Child,
     output: Lines<BufReader<ChildStdout>>,
 }
 
@@ -95,11 +98,11 @@ impl Program {
         let mut command = tokio::process::Command::from(command);
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).kill_on_drop(true).spawn().unwrap();
         let output = BufReader::new(child.stdout.take().unwrap()).lines();
-        Self { _child: child, output }
+        Self { child, output }
     }
 
-    /// Waits for a line of its output.
-    async fn line(&mut self, is_it: impl Fn(&str) -> bool) {
+    /// Waits for a line of its output. Fails at once if one of the others ends.
+    async fn line(&mut self, others: &mut [&mut Self], is_it: impl Fn(&str) -> bool) {
         let found = async {
             loop {
                 let line = self.output.next_line().await.unwrap().expect("the program ended");
@@ -108,6 +111,10 @@ impl Program {
                 }
             }
         };
-        tokio::time::timeout(TIMEOUT, found).await.expect("a line in time");
+        let ended = futures::future::select_all(others.iter_mut().map(|other| Box::pin(other.child.wait())));
+        tokio::select! {
+            found = tokio::time::timeout(TIMEOUT, found) => found.expect("a line in time"),
+            (status, which, _) = ended => panic!("program {which} in the background ended: {status:?}"),
+        }
     }
 }

@@ -19,6 +19,7 @@ use gdp_proto::control::{Refusal, RefusalCode};
 
 /// Why a node could not perform an operation.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NodeError {
     #[error(transparent)]
     Link(#[from] LinkError),

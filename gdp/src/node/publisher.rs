@@ -79,6 +79,11 @@ impl Publisher {
     /// If the RIB refuses the new certificate, the current one stays in force. Without a link, the
     /// RIB receives the new certificate over the next link.
     pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
+        self.renew_shared(ad_cert).await
+    }
+
+    /// [Renews](Self::renew) a publisher that several tasks share.
+    pub async fn renew_shared(&self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Write { proof, ad_cert };
         self.node.state.renew(self.publication.name, Stated::Published, renewed).await
     }

@@ -4,19 +4,21 @@ use std::fmt;
 use std::sync::{Arc, Weak};
 
 use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_wire::Name;
 use parking_lot::Mutex;
 use tokio::task::AbortHandle;
 
 use super::error::Error;
+use super::followed_keyring::FollowedKeyring;
 use super::publisher_handle::PublisherHandle;
-use crate::keyring::{FindError, Keyring, members};
+use crate::keyring::{FindError, members};
 use crate::node::Node;
 
 /// An attached entity with its keyring.
 pub struct Attached {
     pub node: Node,
-    pub keyring: Mutex<Keyring>,
+    pub keyring: Mutex<FollowedKeyring>,
     /// Those that the session flushes when it is closed.
     pub publishers: Mutex<Vec<Weak<PublisherHandle>>>,
     /// Presents renewed credentials of the domain.
@@ -30,19 +32,30 @@ impl Attached {
 
     /// Finds a card in the keyring, or else in the directory of the domain.
     pub async fn find(&self, name: &str, kind: &str) -> Result<NameCard, Error> {
-        let keyring = self.keyring.lock().clone();
+        let keyring = self.keyring.lock().current().clone();
         match keyring.find(name, kind) {
             Err(FindError::Unknown { .. }) if keyring.has_directory() => {
                 let shared = members::find(&self.node, &keyring, name, kind).await?;
-                self.keyring.lock().add(&shared.card, shared.grant);
-                Ok(shared.card)
+                Ok(self.keyring.lock().share(shared))
             }
             found => Ok(found?),
         }
     }
 
-    pub fn keyring<T>(&self, with: impl FnOnce(&Keyring) -> T) -> T {
-        with(&self.keyring.lock())
+    /// Returns the right to read or call a name that was found.
+    pub fn grant(&self, card: &NameCard) -> Result<Reading, Error> {
+        Ok(self.keyring.lock().grant(card, self.name())?)
+    }
+
+    /// Returns the right to publish or serve a name that was found.
+    pub fn ad(&self, card: &NameCard) -> Result<Issued<AdCert>, Error> {
+        Ok(self.keyring.lock().ad(card, self.name())?)
+    }
+
+    /// Finds the right to read or call a name again, also with another member.
+    pub async fn new_grant(&self, card: &NameCard, name: &str, kind: &str) -> Result<Reading, Error> {
+        self.find(name, kind).await?;
+        self.grant(card)
     }
 
     pub fn remember(&self, publisher: &Arc<PublisherHandle>) {

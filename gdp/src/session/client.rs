@@ -8,7 +8,6 @@ use std::time::Duration;
 use futures::future::BoxFuture;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Encoding;
-use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
 use super::attached::Attached;
@@ -49,9 +48,9 @@ impl ClientBuilder {
     async fn attach(self) -> Result<Client, Error> {
         let Self { session, service, encoding, timeout } = self;
         let card = session.find(&service, "service").await?;
-        let grant = session.keyring(|keyring| keyring.grant(&card, session.name(), unix_seconds()))?;
+        let grant = session.grant(&card)?;
         let node = session.node.client(card.proof(), grant).await?.into();
-        Ok(Client { node, _session: session, card, service: service.into(), encoding, timeout })
+        Ok(Client { node, session, card, service: service.into(), encoding, timeout })
     }
 }
 
@@ -68,8 +67,8 @@ impl IntoFuture for ClientBuilder {
 #[derive(Clone)]
 pub struct Client {
     node: Arc<node::Client>,
-    /// Presents renewed credentials as long as a handle exists.
-    _session: Arc<Attached>,
+    /// Presents renewed credentials, as long as a handle exists.
+    session: Arc<Attached>,
     card: NameCard,
     service: Arc<str>,
     encoding: Encoding,
@@ -82,8 +81,9 @@ impl Client {
     ///
     /// # Errors
     ///
-    /// Fails if the server leaves before it replies, or if the time is over.
+    /// Fails if no server attaches, if it leaves before it replies, or if the time is over.
     pub async fn call(&self, request: impl AsRef<[u8]>) -> Result<Sample, Error> {
+        let mut is_attached = false;
         let call = async {
             let mut changes = self.node.changes();
             while self.node.servers() == 0 {
@@ -91,11 +91,28 @@ impl Client {
                     return Err(Error::from(self.node.ended().await));
                 }
             }
+            is_attached = true;
             Ok(self.node.call(self.encoding, request.as_ref()).await?)
         };
         let reply = tokio::time::timeout(self.timeout, call).await;
-        let reply = reply.map_err(|_| Error::NoReply { name: self.service.to_string(), after: self.timeout })??;
+        let (name, after) = (self.service.to_string(), self.timeout);
+        let reply = match (reply, is_attached) {
+            (Ok(reply), _) => reply?,
+            (Err(_), true) => return Err(Error::NoReply { name, after }),
+            (Err(_), false) => return Err(Error::NoServer { name, after }),
+        };
         Ok(Sample::new(self.service.clone(), reply))
+    }
+
+    /// Goes on to call with the grant that the keyring, or the other member, has now. Call it before
+    /// the one in use ends.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no valid one, or if the fabric refuses it. The one in use stays in force.
+    pub async fn renew(&self) -> Result<(), Error> {
+        let grant = self.session.new_grant(&self.card, &self.service, "service").await?;
+        Ok(self.node.renew(grant).await?)
     }
 
     /// Returns the number of attached servers.

@@ -7,6 +7,7 @@ use gdp_core::identity::{Identity, KeyFile};
 use gdp_core::link_target::LinkTarget;
 
 use super::error::Error;
+use super::followed_keyring::FollowedKeyring;
 use crate::keyring::Keyring;
 use crate::node::{LinkConfig, NodeConfig};
 
@@ -84,11 +85,8 @@ impl Config {
     }
 
     /// Reads the keyring, the key and the links.
-    pub(super) fn load(self) -> Result<(Keyring, NodeConfig), Error> {
-        let keyring = Keyring::open(&self.keyring)?;
-        for reason in &keyring.left_out {
-            tracing::warn!("left out of the keyring: {reason}");
-        }
+    pub(super) fn load(self) -> Result<(FollowedKeyring, NodeConfig), Error> {
+        let mut keyring = FollowedKeyring::open(&self.keyring)?;
         let file = self.key.unwrap_or_else(|| Keyring::key_file(&self.keyring));
         let key = KeyFile::load(&file).map_err(|source| Error::Key { file: file.clone(), source })?;
         let identity: Identity = key.identity_or(DEFAULT_KIND);
@@ -99,7 +97,7 @@ impl Config {
                 None => vec![local_switch().into()],
             },
         };
-        let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
+        let credentials = keyring.current().credentials.as_ref().map(|files| files.load()).transpose()?;
         let config = NodeConfig::new(identity, local_switch());
         let (connect_timeout, state) = (self.timeout, self.state);
         Ok((keyring, NodeConfig { links, credentials, connect_timeout, state, ..config }))

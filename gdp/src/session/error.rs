@@ -47,9 +47,17 @@ pub enum Error {
     /// The right ended, or the session was closed.
     #[error(transparent)]
     Ended(#[from] Ended),
-    /// Nobody answered a call.
-    #[error("{name} did not reply in {} s; is it served? The request may have been carried out", after.as_secs_f64())]
+    /// The server did not answer a call.
+    #[error("{name} did not reply in {} s; the request may have been carried out", after.as_secs_f64())]
     NoReply {
+        /// The service, as the program named it.
+        name: String,
+        /// How long the call waited.
+        after: Duration,
+    },
+    /// No server attached while a call waited for one. The request was not sent.
+    #[error("no server of {name} attached in {} s; is it running? Nothing was sent", after.as_secs_f64())]
+    NoServer {
         /// The service, as the program named it.
         name: String,
         /// How long the call waited.
@@ -80,7 +88,7 @@ impl Error {
                 MembersError::Node(error) => error.may_pass(),
                 error => matches!(error, MembersError::DirectorySilent | MembersError::CatalogSilent { .. }),
             },
-            Self::NoReply { .. } | Self::Unflushed { .. } => true,
+            Self::NoReply { .. } | Self::NoServer { .. } | Self::Unflushed { .. } => true,
             _ => false,
         }
     }

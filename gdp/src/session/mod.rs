@@ -7,6 +7,7 @@ mod attached;
 mod client;
 mod config;
 mod error;
+mod followed_keyring;
 mod publisher;
 mod publisher_handle;
 mod sample;
@@ -42,9 +43,9 @@ const FLUSH: Duration = Duration::from_secs(5);
 ///
 /// Fails if a file is missing or wrong, or if no switch answers in time.
 pub async fn open(config: Config) -> Result<Session, Error> {
-    let (keyring, config) = config.load()?;
+    let (mut keyring, config) = config.load()?;
     // Before the node reads the files for the last time, so that no change is missed.
-    let watched = keyring.credentials.clone().map(|files| {
+    let watched = keyring.current().credentials.clone().map(|files| {
         let watched = FileSet::new(&FileWatcher::start(), files.paths());
         (files, watched)
     });
@@ -114,6 +115,9 @@ impl Session {
 
     /// Waits until the readers of every reliable publisher have acknowledged all messages, for at
     /// most 5 s. Then detaches, which withdraws all names. Handles fail from then on.
+    ///
+    /// A publisher that the program dropped earlier is withdrawn already, and nothing waits for its
+    /// readers: [`Publisher::flush`] it before you drop it.
     ///
     /// # Errors
     ///

@@ -8,7 +8,6 @@ use std::time::Duration;
 use futures::future::BoxFuture;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::{Draft, Encoding};
-use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
 use super::attached::Attached;
@@ -76,11 +75,11 @@ impl PublisherBuilder {
     async fn attach(self) -> Result<Publisher, Error> {
         let Self { session, topic, encoding, options } = self;
         let card = session.find(&topic, "topic").await?;
-        let ad = session.keyring(|keyring| keyring.ad(&card, session.name(), unix_seconds()))?;
+        let ad = session.ad(&card)?;
         let node = session.node.publish(card.proof(), ad, options).await?;
         let shared = Arc::new(PublisherHandle { node, card, topic });
         session.remember(&shared);
-        Ok(Publisher { shared, _session: session, encoding })
+        Ok(Publisher { shared, session, encoding })
     }
 }
 
@@ -98,8 +97,8 @@ impl IntoFuture for PublisherBuilder {
 #[derive(Clone)]
 pub struct Publisher {
     shared: Arc<PublisherHandle>,
-    /// Presents renewed credentials as long as a handle exists.
-    _session: Arc<Attached>,
+    /// Presents renewed credentials, as long as a handle exists.
+    session: Arc<Attached>,
     encoding: Encoding,
 }
 
@@ -123,6 +122,17 @@ impl Publisher {
     /// Says after `timeout` what is missing.
     pub async fn flush(&self, timeout: Duration) -> Result<(), Error> {
         self.shared.flush(timeout).await
+    }
+
+    /// Goes on to publish with the certificate that the keyring has now, and readers miss nothing.
+    /// Call it before the one in use ends.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no valid one, or if the fabric refuses it. The one in use stays in force.
+    pub async fn renew(&self) -> Result<(), Error> {
+        let ad = self.session.ad(&self.shared.card)?;
+        Ok(self.shared.node.renew_shared(ad).await?)
     }
 
     /// Returns the number of attached readers. Messages without readers are sent to nobody.

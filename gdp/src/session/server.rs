@@ -8,7 +8,6 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Encoding;
-use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
 use super::attached::Attached;
@@ -39,9 +38,9 @@ impl ServerBuilder {
     async fn attach(self) -> Result<Server, Error> {
         let Self { session, service, encoding } = self;
         let card = session.find(&service, "service").await?;
-        let ad = session.keyring(|keyring| keyring.ad(&card, session.name(), unix_seconds()))?;
+        let ad = session.ad(&card)?;
         let node = session.node.serve(card.proof(), ad).await?;
-        Ok(Server { node, _session: session, card, service: service.into(), encoding })
+        Ok(Server { node, session, card, service: service.into(), encoding })
     }
 }
 
@@ -57,8 +56,8 @@ impl IntoFuture for ServerBuilder {
 /// Receives the calls to a service, as one of its servers. Dropping it withdraws the server.
 pub struct Server {
     node: node::Server,
-    /// Presents renewed credentials as long as a handle exists.
-    _session: Arc<Attached>,
+    /// Presents renewed credentials, as long as a handle exists.
+    session: Arc<Attached>,
     card: NameCard,
     service: Arc<str>,
     encoding: Encoding,
@@ -78,6 +77,17 @@ impl Server {
                 why => Err(why.into()),
             },
         }
+    }
+
+    /// Goes on to serve with the certificate that the keyring has now. Call it before the one in
+    /// use ends.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no valid one, or if the fabric refuses it. The one in use stays in force.
+    pub async fn renew(&mut self) -> Result<(), Error> {
+        let ad = self.session.ad(&self.card)?;
+        Ok(self.node.renew(ad).await?)
     }
 
     /// Returns the name that is served.

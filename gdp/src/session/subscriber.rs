@@ -10,13 +10,15 @@ use futures::Stream;
 use futures::future::BoxFuture;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::{Encoding, Message};
-use gdp_util::unix_time::unix_seconds;
 use gdp_wire::Name;
 
 use super::attached::Attached;
 use super::error::Error;
 use super::sample::Sample;
 use crate::node::{Ended, SubscribeOptions, Subscription, Wants};
+
+/// Maximum of [`SubscriberBuilder::queue`]. Their bodies have at most 64 MB together anyway.
+const MAX_QUEUE: usize = 1 << 20;
 
 /// A subscriber before it is attached: await it. By default it receives every message of reliable
 /// publishers, and the newest of others.
@@ -46,9 +48,9 @@ impl SubscriberBuilder {
     }
 
     /// Sets how many messages may wait for [`Subscriber::recv`]. Default: 256. Excess messages of
-    /// publishers that are not reliable are dropped.
+    /// publishers that are not reliable are dropped. At most 1,048,576.
     pub fn queue(mut self, messages: usize) -> Self {
-        self.options.queue = messages.max(1);
+        self.options.queue = messages.clamp(1, MAX_QUEUE);
         self
     }
 
@@ -57,7 +59,7 @@ impl SubscriberBuilder {
     pub async fn subscribe(self) -> Result<(Subscription, NameCard), Error> {
         let Self { session, topic, options } = self;
         let card = session.find(&topic, "topic").await?;
-        let grant = session.keyring(|keyring| keyring.grant(&card, session.name(), unix_seconds()))?;
+        let grant = session.grant(&card)?;
         Ok((session.node.subscribe(card.proof(), grant, options).await?, card))
     }
 }
@@ -70,7 +72,7 @@ impl IntoFuture for SubscriberBuilder {
         Box::pin(async {
             let (topic, session) = (self.topic.as_str().into(), self.session.clone());
             let (node, card) = self.subscribe().await?;
-            Ok(Subscriber { _session: session, ended: Some(Box::pin(node.ended())), node, card, topic })
+            Ok(Subscriber { session, ended: Some(Box::pin(node.ended())), node, card, topic })
         })
     }
 }
@@ -81,8 +83,8 @@ impl IntoFuture for SubscriberBuilder {
 /// to read has ended. The stream ends without one when the session is closed.
 pub struct Subscriber {
     node: Subscription,
-    /// Presents renewed credentials as long as a handle exists.
-    _session: Arc<Attached>,
+    /// Presents renewed credentials, as long as a handle exists.
+    session: Arc<Attached>,
     /// Until the end was reported.
     ended: Option<BoxFuture<'static, Ended>>,
     card: NameCard,
@@ -97,6 +99,17 @@ impl Subscriber {
     /// Fails once, when the right to read has expired or was revoked.
     pub async fn recv(&mut self) -> Result<Option<Sample>, Error> {
         std::future::poll_fn(|context| self.poll_sample(context)).await.transpose()
+    }
+
+    /// Goes on to read with the grant that the keyring, or the other member, has now. Call it before
+    /// the one in use ends: no message is lost.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no valid one, or if the fabric refuses it. The one in use stays in force.
+    pub async fn renew(&mut self) -> Result<(), Error> {
+        let grant = self.session.new_grant(&self.card, &self.topic, "topic").await?;
+        Ok(self.node.renew(grant).await?)
     }
 
     /// Returns the name that is read.

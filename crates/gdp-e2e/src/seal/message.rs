@@ -280,6 +280,7 @@ impl Fields<'_> {
 
 /// The encoding of a message's body (`docs/wire-format.md`, "Sealed segments").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Encoding {
     /// Application-specific bytes.
     Bytes,

@@ -7,6 +7,7 @@ use std::time::{Duration, SystemTime};
 
 use futures::future::BoxFuture;
 use gdp::Publisher;
+use gdp_msg::Schema;
 use gdp_wire::Name;
 use serde_json::Value;
 
@@ -15,7 +16,7 @@ use super::error::RosSdkError;
 use super::source::RosSource;
 use super::subscriber::next;
 use crate::encoder::Encoder;
-use crate::feed::{Decoder, Feed};
+use crate::feed::{Decoded, Decoder, Feed};
 use crate::roster::Offer;
 use crate::user_input::UserInput;
 
@@ -131,6 +132,9 @@ pub struct DynamicMessage {
     pub source: Name,
     /// When it was sent, by the source's clock.
     pub time: SystemTime,
+    /// The definitions of the type.
+    #[doc(hidden)]
+    pub schema: Arc<Schema>,
 }
 
 /// Reads ROS messages of any type.
@@ -155,9 +159,10 @@ impl DynamicSubscriber {
     /// latter the next messages can be read.
     pub async fn recv(&mut self) -> Result<Option<DynamicMessage>, RosSdkError> {
         let Some(received) = next(&mut self.feed, &self.topic).await? else { return Ok(None) };
-        let value = self.decoder.decode(&received)?.value;
+        let Decoded { schema, value, .. } = self.decoder.decode(&received)?;
+        let schema = schema.clone();
         let time = SystemTime::UNIX_EPOCH + Duration::from_nanos(received.message.timestamp_ns);
-        Ok(Some(DynamicMessage { type_name: received.kind.name, value, source: received.message.writer, time }))
+        Ok(Some(DynamicMessage { type_name: received.kind.name, value, source: received.message.writer, time, schema }))
     }
 }
 
