@@ -25,7 +25,11 @@ pub enum ClientError {
          --switch udp://HOST", path.display()
     )]
     NoDaemon { path: PathBuf, source: std::io::Error },
-    #[error("not allowed to use the daemon's socket {}; run this as the user who runs the daemon", .0.display())]
+    #[error(
+        "not allowed to use the daemon's socket {}; run this as the user who runs the daemon, or as a member of the \
+         socket's group",
+        .0.display()
+    )]
     NotAllowed(PathBuf),
     #[error("the daemon went away: {0}")]
     Broken(std::io::Error),

@@ -43,6 +43,7 @@ const SILENCE: Duration = Duration::from_secs(2);
 
 /// Status lines for the service manager. A switch that is away is no reason to restart the proxy.
 const CONNECTED: &str = "connected to the switch";
+const LOST: &str = "the link to the switch is lost; trying on";
 const TRYING: &str = "no switch answers yet; trying on";
 
 /// The log line if nothing says why.
@@ -131,6 +132,7 @@ async fn carry(
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), &[], None)?;
     running.want(&mut automatic, &explicit);
     manager.ready(CONNECTED);
+    let mut is_connected = true;
     let mut looks = ticks();
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
@@ -145,6 +147,10 @@ async fn carry(
             _ = looks.tick() => {
                 running.look();
                 manager.alive(Instant::now());
+                if is_connected != node.switch().is_ok() {
+                    is_connected = !is_connected;
+                    manager.status(status(is_connected));
+                }
                 if let Some(status) = &directory_status {
                     directory::look(status, &node);
                 }
@@ -179,7 +185,7 @@ async fn carry(
                     }
                 }
                 }
-                manager.ready(CONNECTED);
+                manager.ready(status(is_connected));
             }
             Ok(()) = members.changed() => {
                 let known = members.borrow_and_update().clone();
@@ -359,6 +365,11 @@ async fn connect(Loaded { config, material }: &Loaded, manager: &mut ServiceMana
             Err(error) => return Err(error).with_context(|| format!("cannot attach at {addresses}")),
         }
     }
+}
+
+/// Returns the line for `systemctl status`.
+fn status(is_connected: bool) -> &'static str {
+    if is_connected { CONNECTED } else { LOST }
 }
 
 /// The service manager need not restart a proxy that waits for its switch.

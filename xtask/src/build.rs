@@ -82,8 +82,9 @@ pub fn executables(which: Executables, profile: Profile, features: Features) -> 
         Executables::All => command.args(["--bin", PROXY]),
     };
     if profile == Profile::Checked {
-        // As the tests are built, so that nothing is compiled twice.
-        command.args(["--workspace", "--features", workspace::FEATURES]);
+        // As the tests are built, so that nothing is compiled twice. Without a test among the
+        // targets, Cargo would leave out the features that only tests ask of dependencies.
+        command.args(["--workspace", "--features", workspace::FEATURES, "--test", "fixtures"]);
     }
     for (is_wanted, feature) in [(features.dpdk, "gdp-ctl/dpdk"), (features.etcd, "gdp-ctl/etcd")] {
         if is_wanted {

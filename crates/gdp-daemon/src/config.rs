@@ -52,6 +52,9 @@ pub struct Config {
     pub interfaces: Option<Vec<String>>,
     /// Uses every Ethernet interface that is up at start. Not an option of the file.
     pub all_interfaces: bool,
+    /// Whether the kernel forwards on after this daemon. Then what a daemon of another version left
+    /// there is removed at start. Not an option of the file.
+    pub keep: bool,
     /// The address that accepts links over UDP, if any.
     pub udp: Option<SocketAddr>,
     /// The TCP address that accepts links over TLS, if any.
@@ -118,6 +121,7 @@ impl Config {
             identity,
             interfaces: Some(Vec::new()),
             all_interfaces: false,
+            keep: false,
             udp: Some(udp),
             tls: None,
             data_plane: DataPlane::Userspace,
@@ -367,6 +371,7 @@ impl File {
             },
             interfaces: self.interfaces,
             all_interfaces: false,
+            keep: false,
             udp: match self.udp {
                 UdpConfig::Absent => Some(default_udp()),
                 UdpConfig::Off => None,

@@ -2,11 +2,9 @@
 
 use std::path::PathBuf;
 
-use gdp_wire::Name;
-
 use crate::dpdk::{DpdkConfig, DpdkPlaneError};
 use crate::kernel_failures::{LoadError, UpdateError};
-use crate::pins::PinsError;
+use crate::pins::{PinLocation, PinsError};
 
 /// Default capacity of the FIB, in names. The kernel's table starts with room for 1024 names and
 /// doubles as names are added: 128 to 256 B of kernel memory for each name.
@@ -46,13 +44,6 @@ pub struct PlaneConfig {
     /// Whether to count frames lost after a redirect. The counting program sees every batch of
     /// redirected frames on the whole machine, so only one switch of a machine should count.
     pub count_losses: bool,
-}
-
-/// Location of a switch's pins.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PinLocation {
-    pub bpffs: PathBuf,
-    pub switch: Name,
 }
 
 impl Default for PlaneConfig {

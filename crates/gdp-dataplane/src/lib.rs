@@ -80,7 +80,8 @@ mod xdp;
 pub mod xdp_features;
 
 pub use adoption::Left;
-pub use config::{FIB_CAPACITY, PinLocation, PlaneConfig, PlaneError, Wanted};
+pub use config::{FIB_CAPACITY, PlaneConfig, PlaneError, Wanted};
 pub use interface_plane::{InterfacePlane, SUPPORTED};
+pub use pins::PinLocation;
 pub use planes::Planes;
 pub use route::PlaneRoute;

@@ -79,6 +79,15 @@ impl PinsError {
     }
 }
 
+/// Location of a switch's pins.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PinLocation {
+    pub bpffs: PathBuf,
+    pub switch: Name,
+    /// Whether pins of another version of this switch are removed. Otherwise they are an error.
+    pub replaces: bool,
+}
+
 /// The pins of one switch, locked.
 #[derive(Debug)]
 pub struct Pins {
@@ -107,18 +116,15 @@ pub struct Found {
 }
 
 impl Pins {
-    /// Opens the pins of `switch` in the calling thread's network namespace, creating the folder if
+    /// Opens the pins of a switch in the calling thread's network namespace, creating the folder if
     /// necessary. Mounts the file system if it is missing.
-    pub fn open(bpffs: &Path, switch: &Name) -> Result<Self, PinsError> {
+    pub fn open(PinLocation { bpffs, switch, replaces }: &PinLocation) -> Result<Self, PinsError> {
         mount(bpffs)?;
         let namespace = this_namespace().map_err(|source| PinsError::Io { path: THIS_NAMESPACE.into(), source })?;
         let digits = &switch.to_string()[..16];
-        let foreign = find(bpffs)?
-            .into_iter()
-            .find(|found| (found.switch.as_str(), found.namespace) == (digits, namespace) && found.abi != ABI);
-        if let Some(foreign) = foreign {
-            return Err(PinsError::OtherAbi(foreign.folder));
-        }
+        let mut ours = find(bpffs)?;
+        ours.retain(|found| (found.switch.as_str(), found.namespace) == (digits, namespace));
+        remove_other_versions(&ours, *replaces)?;
         let folder = bpffs.join(FOLDER).join(format!("v{ABI}")).join(format!("{digits}-{namespace}"));
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder).map_err(io_at(&folder))?;
         Self::lock(folder)
@@ -225,6 +231,24 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
         }
     }
     Ok(found)
+}
+
+/// Removes a switch's pins of other versions, and with them the programs that forward by them. The
+/// kernel would otherwise forward by them for ever, because no daemon of this version can take them
+/// over. Fails if `replaces` is false, or if the daemon of such pins runs.
+fn remove_other_versions(ours: &[Found], replaces: bool) -> Result<(), PinsError> {
+    for other in ours.iter().filter(|found| found.abi != ABI) {
+        if !replaces {
+            return Err(PinsError::OtherAbi(other.folder.clone()));
+        }
+        Pins::of(other)?.remove()?;
+        tracing::warn!(
+            folder = %other.folder.display(),
+            "the daemon before this one had another version of the kernel's maps; they are removed, and frames stop \
+             until this daemon forwards"
+        );
+    }
+    Ok(())
 }
 
 /// Returns the inode number of the calling thread's network namespace.

@@ -109,6 +109,16 @@ pub fn give_to_owner_above(path: &Path) -> io::Result<()> {
     }
 }
 
+/// Gives the open file at `path` to the owner of the folder that it is in, as
+/// [`give_to_owner_above`] does, whatever the path means now.
+pub fn give_file(file: &fs::File, path: &Path) -> io::Result<()> {
+    let owner = above(path).metadata()?;
+    match is_root() && owner.uid() != 0 {
+        true => fchown(file, Some(owner.uid()), Some(owner.gid())),
+        false => Ok(()),
+    }
+}
+
 /// Returns whether this process is root and another user could have put a link at `path`.
 pub fn is_foreign_link(path: &Path) -> bool {
     let is_foreign = above(path).metadata().is_ok_and(|above| above.uid() != 0);

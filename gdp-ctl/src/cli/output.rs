@@ -76,7 +76,8 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
         .mode(0o644)
         .open(path)
         .with_context(|| format!("cannot create {} (it is never overwritten)", path.display()))?;
-    file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
+    let written = file.write_all(text.as_bytes()).and_then(|()| gdp_util::folders::give_file(&file, path));
+    written.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Replaces a file atomically, and keeps its permissions. A link stays, and its target is replaced.
@@ -93,7 +94,7 @@ pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
         file.set_permissions(target.metadata()?.permissions())?;
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
-        gdp_util::folders::give_to_owner_above(&new)?;
+        gdp_util::folders::give_file(&file, &new)?;
         std::fs::rename(&new, &target)
     })();
     if replaced.is_err() {

@@ -78,6 +78,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     }
     config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
     config.all_interfaces = options.all_interfaces;
+    config.keep = options.keep;
     if !options.interface.is_empty() {
         config.name_interfaces(options.interface);
     }

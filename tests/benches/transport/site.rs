@@ -66,6 +66,7 @@ impl Site {
             socket: files.path().join("s1.sock"),
             interfaces: Some(vec!["l0".into(), "r0".into()]),
             all_interfaces: false,
+            keep: false,
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             tls: None,
             data_plane: DataPlane::Xdp,

@@ -196,6 +196,7 @@ impl Site {
             identity: identity(i),
             socket: folder.join(format!("s{i}.sock")),
             all_interfaces: false,
+            keep: false,
             interfaces: Some(on_ethernet.map(|(_, end)| interface(end).into()).collect()),
             udp: ends.iter().any(|(cable, _)| *cable != ETHERNET).then_some("[::]:31415".parse()?),
             tls: None,

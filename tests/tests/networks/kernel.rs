@@ -7,7 +7,7 @@ use std::sync::Barrier;
 use anyhow::{Context, Result, ensure};
 use gdp_dataplane::kernel::{self, Buffers, KernelPlane, LoadError, UpdateError, XdpAction};
 use gdp_dataplane::link_memory::LinkMemory;
-use gdp_dataplane::pins::{self, Pins};
+use gdp_dataplane::pins::{self, PinLocation, Pins};
 use gdp_dataplane::userspace::{Outcome, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
@@ -222,7 +222,7 @@ fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
     let case = cases.iter().find(|case| case.kernel.verdict == Verdict::Send).context("a frame that is sent")?;
     let bpffs = Bpffs(tempfile::tempdir()?);
     let open = || -> Result<KernelPlane> {
-        let pins = Pins::open(bpffs.0.path(), &Name::default())?;
+        let pins = Pins::open(&PinLocation { bpffs: bpffs.0.path().into(), switch: Name::default(), replaces: false })?;
         Ok(KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 3 * NAMES, Some(pins))?)
     };
     let forwards = |plane: &mut KernelPlane| -> Result<()> {

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, ensure};
 use gdp_dataplane::kernel::{KernelPlane, Mode, pinned_stats};
-use gdp_dataplane::pins::{self, Pins};
+use gdp_dataplane::pins::{self, PinLocation, Pins};
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::Frame;
@@ -124,7 +124,7 @@ fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
 fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let mounted = Mounted(folder.path().join("bpf"));
-    let pins = || Pins::open(&mounted.0, &TOPIC);
+    let pins = || Pins::open(&PinLocation { bpffs: mounted.0.clone(), switch: TOPIC, replaces: false });
     let mut site = Site::build()?;
     site.start(Mode::Native, Some(pins()?))?;
     site.right_end(Program::Ip, &["link", "set", "e0", "down"])?;

@@ -80,6 +80,7 @@ impl Scene {
                 identity: files.path().join(format!("s{}.pem", i + 1)),
                 socket: files.path().join(format!("s{}.sock", i + 1)),
                 all_interfaces: false,
+                keep: false,
                 interfaces: Some(vec!["l0".into(), "r0".into()]),
                 udp: None,
                 tls: None,

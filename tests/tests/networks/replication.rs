@@ -332,7 +332,7 @@ fn process_readers() -> Vec<Leaf> {
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
-    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC, replaces: false };
     let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
     let mut switch = Switch::open(config, Door::here()?, PROCESS_INTERFACES)?;
     let left = switch.planes().left().map_or(&[][..], |left| &left.routes);

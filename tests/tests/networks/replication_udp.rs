@@ -208,7 +208,7 @@ fn process_readers() -> [Peer; 3] {
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
-    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC, replaces: false };
     let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
     let mut switch = Switch::open(config, Door::here()?, ETHERNETS)?;
     let is_first = switch.planes().left().is_none();

@@ -217,6 +217,15 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     std::fs::rename(held, root.join("v0"))?;
     let refused = run(&mut fabric)?;
     ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
+
+    // The service's daemon removes it, with its programs, and starts anew.
+    let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
+    command.args(["serve", "--keep", "--config"]).arg(&config).env("GDP_EBPF_OBJECT", fabric.tools.ebpf_object()?);
+    let mut service = Process::spawn("service", command, fabric.folder())?;
+    wait_for("the daemon to answer", TIMEOUT, || Ok(fabric.status(0).ok())).with_context(|| service.report())?;
+    ensure!(service.stderr().contains("had another version of the kernel's maps"), "{}", service.report());
+    ensure!(std::fs::read_dir(root.join("v0"))?.next().is_none(), "its pins are left");
+    ensure!(service.stop(TIMEOUT)?.success(), "{}", service.report());
     ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));
     fabric.start_again(0)?;
     wait_for("the daemon to answer", TIMEOUT, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;

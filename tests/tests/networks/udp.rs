@@ -344,14 +344,14 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
         link(0x1402, carrier("[2001:db8::2]:3000")?, PORT_USERSPACE),
         link(0x1403, carrier("[fe80::3]:4000")?, PORT_USERSPACE),
     ];
+    let pins = PinLocation { bpffs: folder.path().into(), switch: FORBIDDEN, replaces: false };
     {
-        let pins = Pins::open(folder.path(), &FORBIDDEN)?;
+        let pins = Pins::open(&pins)?;
         let mut before = KernelPlane::load_pinned(&object, 1024, Some(pins))?;
         before.set_config(SwitchConfig { own_bit: 1, ethertype: 0x88b5, host_pair: 0 })?;
         links.iter().try_for_each(|link| before.set_link(link))?;
     }
-    let pins = Some(PinLocation { bpffs: folder.path().into(), switch: FORBIDDEN });
-    let config = PlaneConfig { ebpf_object: Some(object), fib_capacity: 1024, pins, ..Default::default() };
+    let config = PlaneConfig { ebpf_object: Some(object), fib_capacity: 1024, pins: Some(pins), ..Default::default() };
     let mut planes = Planes::open(config)?;
     let left = planes.left().map(|left| left.links.clone()).unwrap_or_default();
     planes.detach_all();

@@ -191,6 +191,7 @@ impl Site {
                 identity: identity(label),
                 socket: folder.join(format!("{label}.sock")),
                 all_interfaces: false,
+                keep: false,
                 interfaces: Some(match (label, data_plane) {
                     ("edge", DataPlane::Dpdk) => vec!["gl0".into()],
                     ("edge", _) => vec!["l0".into()],

@@ -28,6 +28,7 @@ gdp-ctl up --at 10.9.1.1 || fail up
 active gdp-switch
 active gdp-join
 active gdp-proxy@home-server
+[ -S /run/gdp/proxy.sock ] || fail "the proxy has no admin socket"
 systemctl show -P StatusText gdp-switch
 systemctl show -P StatusText gdp-switch | grep -q 'XDP: native on e0' || fail "no XDP"
 pid=$(systemctl show -P MainPID gdp-switch)

@@ -22,7 +22,14 @@ pub struct Build {
     pub quick: bool,
 }
 
-/// Returns the folder of packages.
+impl Build {
+    /// Returns the folder of these packages. Those for tests never replace those to ship.
+    pub fn folder(&self) -> PathBuf {
+        if self.checked { folder().join("checked") } else { folder() }
+    }
+}
+
+/// Returns the folder of packages to ship.
 pub fn folder() -> PathBuf {
     workspace::target().join("package")
 }

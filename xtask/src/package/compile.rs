@@ -18,13 +18,15 @@ const GLIBC: (u32, u32) = (2, 31);
 pub struct Executables {
     pub ctl: PathBuf,
     pub proxy: PathBuf,
+    /// The glibc that they need.
+    pub glibc: (u32, u32),
 }
 
 pub fn executables(options: &Build) -> Result<Executables> {
     if options.checked {
         ensure!(options.arch.is_native(), "--checked packs executables of this machine's architecture");
         build::executables(build::Executables::All, Profile::Checked, build::Features::default())?;
-        return Ok(Executables::of(&Profile::Checked.executables()));
+        return Executables::of(&Profile::Checked.executables());
     }
     setup::ensure(Purpose::Release)?;
     build::ebpf()?;
@@ -52,19 +54,21 @@ pub fn executables(options: &Build) -> Result<Executables> {
     command.env(format!("CARGO_PROFILE_{}_STRIP", profile.name().to_uppercase()), "symbols");
     command.env("PATH", paths.context("the target folder has a colon in its path")?);
     shell::say_and_run(&mut command)?;
-    let built = Executables::of(&workspace::target().join(target).join(profile.name()));
-    [&built.ctl, &built.proxy].into_iter().try_for_each(|executable| check_glibc(executable))?;
+    let built = Executables::of(&workspace::target().join(target).join(profile.name()))?;
+    ensure!(built.glibc <= GLIBC, "the executables may need glibc {}.{} at most", GLIBC.0, GLIBC.1);
     Ok(built)
 }
 
 impl Executables {
-    fn of(folder: &Path) -> Self {
-        Self { ctl: folder.join("gdp-ctl"), proxy: folder.join("gdp-proxy") }
+    fn of(folder: &Path) -> Result<Self> {
+        let (ctl, proxy) = (folder.join("gdp-ctl"), folder.join("gdp-proxy"));
+        let glibc = needed_glibc(&ctl)?.max(needed_glibc(&proxy)?);
+        Ok(Self { ctl, proxy, glibc })
     }
 }
 
-/// Fails if an executable needs a newer glibc. `readelf` reads those of every architecture.
-fn check_glibc(executable: &Path) -> Result<()> {
+/// Returns the glibc that an executable needs. `readelf` reads those of every architecture.
+fn needed_glibc(executable: &Path) -> Result<(u32, u32)> {
     let mut readelf = Program::Readelf.command();
     let listed = shell::output(readelf.args(["--wide", "--dyn-syms"]).arg(executable));
     let listed = listed.with_context(|| format!("{} has no dynamic symbols", executable.display()))?;
@@ -72,15 +76,8 @@ fn check_glibc(executable: &Path) -> Result<()> {
         bail!("{} needs no glibc, so its symbols cannot be compared", executable.display())
     };
     let (major, minor) = newest;
-    ensure!(
-        newest <= GLIBC,
-        "{} needs glibc {major}.{minor} for `{symbol}`, and may need {}.{} at most",
-        executable.display(),
-        GLIBC.0,
-        GLIBC.1
-    );
-    eprintln!("{}: glibc {major}.{minor} or later", executable.display());
-    Ok(())
+    eprintln!("{}: glibc {major}.{minor} or later, for `{symbol}`", executable.display());
+    Ok(newest)
 }
 
 /// Returns the newest version of glibc in a list of symbols, and a symbol that needs it.

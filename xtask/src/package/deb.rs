@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::build::{folder, packaging};
+use super::build::packaging;
 use super::changelog::MAINTAINER;
 use super::stage::{Package, Staged};
 use crate::shell;
@@ -34,7 +34,7 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
         "{name}\nSource: gdp\nVersion: {version}\nArchitecture: {arch}\nMaintainer: {MAINTAINER}\nPriority: optional\n\
          Installed-Size: {}\n{}\n",
         size(&package.tree)?.div_ceil(1024),
-        rest.replace("VERSION", &version)
+        rest.replace("VERSION", &version).replace("GLIBC", &format!("{}.{}", staged.glibc.0, staged.glibc.1))
     );
     fs::write(control_folder.join("control"), fields)?;
     for script in SCRIPTS {
@@ -61,9 +61,10 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
     sums.args(installed).current_dir(&package.tree);
     fs::write(control_folder.join("md5sums"), execute(&mut sums)? + "\n")?;
     open(&package.tree)?;
-    let deb = folder().join(format!("{}_{version}_{arch}.deb", package.name));
+    let deb = staged.folder.join(format!("{}_{version}_{arch}.deb", package.name));
     let mut dpkg = Program::DpkgDeb.command();
-    dpkg.args(["--root-owner-group", "-Zxz", if staged.is_quick { "-z1" } else { "-z6" }, "--build"]);
+    dpkg.arg("--root-owner-group").args(if staged.is_checked { ["-Zgzip", "-z1"] } else { ["-Zxz", "-z6"] });
+    dpkg.arg("--build");
     execute(dpkg.arg(&package.tree).arg(&deb))?;
     println!("{} ({:.1} MB)", deb.display(), deb.metadata()?.len() as f64 / 1e6);
     Ok(deb)

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
 use super::arch::Arch;
-use super::build::{folder, packaging};
+use super::build::packaging;
 use super::stage::Staged;
 
 /// Debian packages of the lower layer. The programs need no others, and no shell.
@@ -37,7 +37,7 @@ struct Layer {
 /// Writes `gdp-VERSION-ARCH.oci.tar`, which `docker load`, `podman load` and skopeo read.
 pub fn write(staged: &Staged) -> Result<PathBuf> {
     ensure!(staged.arch == Arch::Amd64, "the lower layer comes from this machine's Debian, so it is amd64");
-    let work = folder().join("image");
+    let work = staged.folder.join("image");
     if work.exists() {
         fs::remove_dir_all(&work)?;
     }
@@ -85,8 +85,17 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     manifest["platform"] = json!({"architecture": staged.arch.debian(), "os": "linux"});
     let index = json!({"schemaVersion": 2, "manifests": [manifest]});
     fs::write(work.join("oci/index.json"), serde_json::to_vec(&index)?)?;
+    // What `docker load` reads where it knows no layout of the OCI.
+    let path =
+        |descriptor: &Value| descriptor["digest"].as_str().unwrap_or_default().replace("sha256:", "blobs/sha256/");
+    let paths: Vec<_> = of_layers.iter().map(|layer| path(layer)).collect();
+    let tags = [format!("gdp-proxy:{}", staged.version)];
+    let legacy = json!([{"Config": path(&config), "RepoTags": tags, "Layers": paths}]);
+    fs::write(work.join("oci/manifest.json"), serde_json::to_vec(&legacy)?)?;
     fs::write(work.join("oci/oci-layout"), br#"{"imageLayoutVersion": "1.0.0"}"#)?;
-    let file = folder().join(format!("gdp-{}-{}.oci.tar", staged.version, staged.arch.debian()));
+    let compose = fs::read_to_string(packaging("compose.yaml"))?.replace(env!("CARGO_PKG_VERSION"), &staged.version);
+    fs::write(staged.folder.join("compose.yaml"), compose)?;
+    let file = staged.folder.join(format!("gdp-{}-{}.oci.tar", staged.version, staged.arch.debian()));
     execute(Program::Tar.command().args(["--sort=name", "-cf"]).arg(&file).arg("-C").arg(work.join("oci")).arg("."))?;
     fs::remove_dir_all(&work)?;
     println!("{} ({:.1} MB)", file.display(), file.metadata()?.len() as f64 / 1e6);

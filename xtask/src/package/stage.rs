@@ -9,7 +9,7 @@ use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::arch::Arch;
-use super::build::{Build, folder, packaging};
+use super::build::{Build, packaging};
 use super::compile::{self, Executables};
 use super::{changelog, manuals};
 use crate::workspace;
@@ -18,7 +18,11 @@ use crate::workspace;
 pub struct Staged {
     pub arch: Arch,
     pub version: String,
-    pub is_quick: bool,
+    pub is_checked: bool,
+    /// Where the packages belong.
+    pub folder: PathBuf,
+    /// The glibc that the executables need.
+    pub glibc: (u32, u32),
     pub packages: Vec<Package>,
 }
 
@@ -37,7 +41,8 @@ pub fn staged(build: &Build) -> Result<Staged> {
 }
 
 fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
-    let above = folder().join(build.arch.debian());
+    let folder = build.folder();
+    let above = folder.join(build.arch.debian());
     if above.exists() {
         fs::remove_dir_all(&above).with_context(|| format!("cannot remove {}", above.display()))?;
     }
@@ -60,11 +65,11 @@ fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     copy_all(&SWITCH_UNITS, "systemd", &switch.join("usr/lib/systemd/system"))?;
     copy_all(&PROXY_UNITS, "systemd", &proxy.join("usr/lib/systemd/system"))?;
     copy_all(&["gdp.conf"], "sysusers.d", &cli.join("usr/lib/sysusers.d"))?;
-    copy_all(&["gdp.conf"], "tmpfiles.d", &cli.join("usr/lib/tmpfiles.d"))?;
     copy_all(&["gdp-switch.conf"], "tmpfiles.d", &switch.join("usr/lib/tmpfiles.d"))?;
     copy_all(&["gdp-switch"], "default", &switch.join("etc/default"))?;
     copy_all(&["gdp-proxy"], "default", &proxy.join("etc/default"))?;
-    Ok(Staged { arch: build.arch, version: build.version.clone(), is_quick: build.checked, packages })
+    let (version, glibc) = (build.version.clone(), executables.glibc);
+    Ok(Staged { arch: build.arch, version, is_checked: build.checked, folder, glibc, packages })
 }
 
 fn copy_all(names: &[&str], from: &str, to: &Path) -> Result<()> {

@@ -95,7 +95,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         dpdk: config.dpdk.clone(),
         // Like the settings themselves, this file does not survive a reboot.
         dpdk_settings: Some(config.socket.with_extension("settings")),
-        pins: config.bpffs.clone().map(|bpffs| PinLocation { bpffs, switch: identity.name() }),
+        pins: config.bpffs.clone().map(|bpffs| PinLocation { bpffs, switch: identity.name(), replaces: config.keep }),
         ..PlaneConfig::default()
     })?;
     let link_ids = LinkIds::new();

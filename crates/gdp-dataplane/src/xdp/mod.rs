@@ -74,7 +74,7 @@ impl XdpPlane {
         }
         let object = object::Object::find(config.ebpf_object.as_deref())?;
         let pins = match &config.pins {
-            Some(place) => match Pins::open(&place.bpffs, &place.switch) {
+            Some(place) => match Pins::open(place) {
                 Err(error) if error.is_bearable() => {
                     tracing::warn!("forwarding ends with this daemon: {error}");
                     None
@@ -474,7 +474,7 @@ pub fn clear_left_over(config: &PlaneConfig) -> Result<(), PlaneError> {
     if pins::find(&place.bpffs)?.is_empty() {
         return Ok(());
     }
-    let pins = Pins::open(&place.bpffs, &place.switch)?;
+    let pins = Pins::open(place)?;
     if pins.any() {
         tracing::warn!("XDP is not used any more: removing what an earlier daemon left in the kernel");
         pins.remove()?;

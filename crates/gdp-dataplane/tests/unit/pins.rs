@@ -37,6 +37,29 @@ fn a_switch_has_one_owner_at_a_time() {
 fn a_folder_with_something_in_it_is_not_mounted_over() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("file"), []).unwrap();
-    let error = Pins::open(folder.path(), &Name::default()).unwrap_err();
+    let place = PinLocation { bpffs: folder.path().into(), switch: Name::default(), replaces: false };
+    let error = Pins::open(&place).unwrap_err();
     assert!(error.is_bearable() && error.to_string().contains("something else"), "{error}");
+}
+
+#[test]
+fn a_service_removes_the_pins_of_another_version_and_anybody_else_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |abi: u32| folder.path().join(format!("gdp/v{abi}/75e1000000000000-4026531840"));
+    for abi in [ABI, ABI + 1] {
+        fs::create_dir_all(place(abi)).unwrap();
+        fs::write(place(abi).join("FIB"), []).unwrap();
+    }
+    let ours = find(folder.path()).unwrap();
+    let refused = remove_other_versions(&ours, false).unwrap_err();
+    assert!(matches!(&refused, PinsError::OtherAbi(left) if *left == place(ABI + 1)), "{refused}");
+    assert!(!refused.is_bearable() && place(ABI + 1).exists());
+
+    let other = ours.iter().find(|found| found.abi != ABI).unwrap();
+    let its_daemon = Pins::of(other).unwrap();
+    assert!(matches!(remove_other_versions(&ours, true), Err(PinsError::InUse(_))), "its daemon runs");
+    drop(its_daemon);
+    remove_other_versions(&ours, true).unwrap();
+    assert!(!place(ABI + 1).exists() && place(ABI).join("FIB").exists());
+    assert_eq!(find(folder.path()).unwrap().len(), 1);
 }
