@@ -19,10 +19,10 @@ pub trait Receive: Send + 'static {
     fn receive(&mut self) -> impl Future<Output = PyResult<Option<Self::Received>>> + Send;
 }
 
-type Slot<T> = std::sync::Mutex<Option<PyResult<Option<T>>>>;
+type Undelivered<T> = std::sync::Mutex<Option<PyResult<Option<T>>>>;
 
 /// A receiver, and what it has received and nobody has taken yet. Clones are the same.
-pub struct Receiving<R: Receive>(Arc<(Mutex<R>, Slot<R::Received>)>);
+pub struct Receiving<R: Receive>(Arc<(Mutex<R>, Undelivered<R::Received>)>);
 
 impl<R: Receive> Clone for Receiving<R> {
     fn clone(&self) -> Self {
@@ -32,7 +32,7 @@ impl<R: Receive> Clone for Receiving<R> {
 
 impl<R: Receive> Receiving<R> {
     pub fn new(receiver: R) -> Self {
-        Self(Arc::new((Mutex::new(receiver), Slot::default())))
+        Self(Arc::new((Mutex::new(receiver), Undelivered::default())))
     }
 
     /// Waits until [`Self::take`] has something to return, at most for these seconds.
@@ -63,6 +63,6 @@ impl<R: Receive> Receiving<R> {
     }
 }
 
-fn is_full<T>(slot: &Slot<T>) -> bool {
+fn is_full<T>(slot: &Undelivered<T>) -> bool {
     slot.lock().unwrap_or_else(PoisonError::into_inner).is_some()
 }

@@ -104,8 +104,8 @@ impl Client {
         Ok(Sample::new(self.service.clone(), reply))
     }
 
-    /// Goes on to call with the grant that the keyring, or the other member, has now. Call it before
-    /// the one in use ends.
+    /// Goes on to call with the grant that the keyring, or the other member, has now. Call it
+    /// before the one in use ends.
     ///
     /// # Errors
     ///

@@ -101,8 +101,8 @@ impl Subscriber {
         std::future::poll_fn(|context| self.poll_sample(context)).await.transpose()
     }
 
-    /// Goes on to read with the grant that the keyring, or the other member, has now. Call it before
-    /// the one in use ends: no message is lost.
+    /// Goes on to read with the grant that the keyring, or the other member, has now. Call it
+    /// before the one in use ends: no message is lost.
     ///
     /// # Errors
     ///
