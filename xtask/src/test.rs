@@ -79,13 +79,14 @@ pub fn run(options: Options) -> Result<()> {
 
 /// Modules of tests that load both cores or measure a path. They run one at a time, so that a
 /// missed deadline is meaningful. The other tests mostly wait, for a fifth of a core.
-const WHOLE_MACHINE: [&str; 12] = [
+const WHOLE_MACHINE: [&str; 13] = [
     "dpdk::",
     "ecn::",
     "end_to_end::",
     "fleet::",
     "generated::",
     "liveness::",
+    "local_dds::",
     "losses::",
     "reach_links::",
     "replicas::",
