@@ -106,12 +106,17 @@ fn tests(options: &Options) -> Command {
     command
 }
 
+/// Tests that take minutes under emulation, and whose subject depends on no processor.
+const LONG_SIMULATIONS: [&str; 6] =
+    ["transport::", "property_tests::", "whatever_", "on_random_graphs", "however_often", "less_and_less_often"];
+
 /// Returns the command that runs the tests of crates without I/O for arm64.
 fn arm64(options: &Options) -> Command {
     let mut command = shell::cargo();
     command.args(["test", "--profile", Profile::Checked.name(), "--target", "aarch64-unknown-linux-gnu", "--lib"]);
     command.args(["-p", "gdp-wire", "-p", "gdp-core", "-p", "gdp-e2e", "-p", "gdp-rib"]);
     command.args(options.filter.as_deref());
+    command.arg("--").args(LONG_SIMULATIONS.iter().flat_map(|name| ["--skip", name]));
     let runner = format!("{} -L /usr/aarch64-linux-gnu", Program::QemuArm64.name());
     command.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER", runner);
     command.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", Program::CcArm64.name());
