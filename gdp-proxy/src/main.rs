@@ -20,8 +20,7 @@ use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
 use gdp_util::file_watch::FileWatcher;
 use gdp_util::services::Services;
-use gdp_util::{descriptors, log, panics, terminal};
-use tokio::signal::unix::{SignalKind, signal};
+use gdp_util::{descriptors, log, panics, signals, terminal};
 
 /// Carry the ROS topics, services and actions of a YAML configuration over the Global Data Plane.
 ///
@@ -301,25 +300,13 @@ fn carry(path: &Path, arguments: Arguments) -> Result<()> {
             }
             return Ok(());
         }
-        let stop = stop_signal()?;
+        let stop = signals::stop().context("cannot wait for SIGTERM and SIGINT")?;
         #[cfg(debug_assertions)]
         tokio::spawn(panics::inject());
         let mut loaded = loaded()?;
         loaded.config.socket = arguments.socket.or(loaded.config.socket);
         loaded.config.metrics = arguments.metrics.or(loaded.config.metrics);
         proxy::run(loaded, watch, arguments.stats.map(StatsFile::new), stop).await
-    })
-}
-
-/// Completes at SIGTERM or SIGINT. From now on these signals no longer kill the process.
-fn stop_signal() -> Result<impl Future<Output = ()>> {
-    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for SIGINT")?;
-    Ok(async move {
-        tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
-        }
     })
 }
 

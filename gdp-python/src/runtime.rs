@@ -4,9 +4,9 @@
 //! Python calls at its exit, waits for the results under way, and nothing follows them.
 
 use std::pin::Pin;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::{Condvar, Mutex, PoisonError};
+use std::time::Duration;
 
 use pyo3::prelude::*;
 use pyo3_async_runtimes::generic::{self, ContextExt, Runtime};
@@ -18,6 +18,8 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Number of results under way.
 static UNDER_WAY: Mutex<usize> = Mutex::new(0);
+/// A result has arrived.
+static ARRIVED: Condvar = Condvar::new();
 /// Python ends: no further result may begin.
 static ENDING: AtomicBool = AtomicBool::new(false);
 
@@ -69,10 +71,10 @@ impl Drop for Counted {
     }
 }
 
-fn count(by: isize) -> usize {
-    let mut under_way = UNDER_WAY.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+fn count(by: isize) {
+    let mut under_way = UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner);
     *under_way = under_way.saturating_add_signed(by);
-    *under_way
+    ARRIVED.notify_all();
 }
 
 /// Returns an awaitable of asyncio for a future.
@@ -88,10 +90,8 @@ where
 #[pyfunction]
 pub fn finish(py: Python<'_>) {
     py.detach(|| {
-        let deadline = Instant::now() + TIMEOUT;
         ENDING.store(true, Ordering::SeqCst);
-        while count(0) > 0 && Instant::now() < deadline {
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        let under_way = UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner);
+        drop(ARRIVED.wait_timeout_while(under_way, TIMEOUT, |under_way| *under_way > 0));
     });
 }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use crate::roster::{Change, Dialect, Incoming, Kind, Offer, RosterEvent};
 use crate::types::{TypeError, Types, unsealed};
@@ -32,6 +32,13 @@ pub struct ReceivedMessage {
     pub message: Message,
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
+}
+
+impl ReceivedMessage {
+    /// Returns when the message was sent, by the clock of its source.
+    pub fn time(&self) -> SystemTime {
+        SystemTime::UNIX_EPOCH + Duration::from_nanos(self.message.timestamp_ns)
+    }
 }
 
 /// Reads a topic.

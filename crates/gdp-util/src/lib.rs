@@ -14,6 +14,7 @@
 //! - [`processes`]: signals to child processes (feature `program`)
 //! - [`service_manager`]: notifications to systemd (feature `program`)
 //! - [`services`]: the units of the packages (feature `program`)
+//! - [`signals`]: the signals that end a program (feature `program`)
 //! - [`terminal`]: output lines for users (feature `program`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
@@ -43,6 +44,8 @@ pub mod processes;
 pub mod service_manager;
 #[cfg(feature = "program")]
 pub mod services;
+#[cfg(feature = "program")]
+pub mod signals;
 #[cfg(feature = "program")]
 pub mod terminal;
 pub mod ticks;

@@ -43,7 +43,7 @@ fn a_folder_with_something_in_it_is_not_mounted_over() {
 }
 
 #[test]
-fn a_service_removes_the_pins_of_another_version_and_anybody_else_is_told() {
+fn pins_of_another_abi_are_removed_with_keep_and_an_error_without() {
     let folder = tempfile::tempdir().unwrap();
     let place = |abi: u32| folder.path().join(format!("gdp/v{abi}/75e1000000000000-4026531840"));
     for abi in [ABI, ABI + 1] {

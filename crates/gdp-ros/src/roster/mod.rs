@@ -18,7 +18,7 @@ use gdp_e2e::seal::Encoding;
 use serde::{Deserialize, Serialize};
 
 pub use incoming::{Change, Incoming, RosterEvent};
-pub use outgoing::Outgoing;
+pub use outgoing::{Outgoing, single};
 
 /// Encoding number of a message that is a roster.
 pub const ROSTER: Encoding = Encoding::Other(0x4752);

@@ -6,9 +6,12 @@ use std::time::{Duration, Instant};
 
 use gdp::unstable::Publisher;
 use gdp_core::cbor::CborError;
+use gdp_msg::Schema;
 use gdp_util::ticks::next_tick;
 
-use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer, node_name};
+use super::{
+    Kind, LEASE, MAX_DEFINITION, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer, node_name, origin,
+};
 
 /// The roster of a topic that this proxy publishes. `K` identifies a publisher in the ROS graph.
 pub struct Outgoing<K> {
@@ -27,6 +30,16 @@ pub struct Outgoing<K> {
 
 /// Number of brief rosters between two whole ones.
 const BRIEFS: u32 = 10;
+
+/// Returns the roster of a program that is the only publisher of a name, and the origin that its
+/// messages state.
+pub fn single(kind: Kind, schema: &Schema, offer: Offer) -> (Outgoing<()>, [u8; 4]) {
+    let text = Some(schema.text()).filter(|text| text.len() <= MAX_DEFINITION);
+    let mut roster = Outgoing::new(kind, text);
+    roster.joined((), "", offer);
+    let number = roster.number(&()).unwrap_or_default();
+    (roster, origin(number))
+}
 
 /// A roster to send.
 #[derive(Debug, PartialEq, Eq)]

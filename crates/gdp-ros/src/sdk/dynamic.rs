@@ -3,7 +3,7 @@
 use std::fmt;
 use std::future::IntoFuture;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use futures::future::BoxFuture;
 use gdp::Publisher;
@@ -161,7 +161,7 @@ impl DynamicSubscriber {
         let Some(received) = next(&mut self.feed, &self.topic).await? else { return Ok(None) };
         let Decoded { schema, value, .. } = self.decoder.decode(&received)?;
         let schema = schema.clone();
-        let time = SystemTime::UNIX_EPOCH + Duration::from_nanos(received.message.timestamp_ns);
+        let time = received.time();
         Ok(Some(DynamicMessage { type_name: received.kind.name, value, source: received.message.writer, time, schema }))
     }
 }

@@ -1,7 +1,7 @@
 //! A publisher of the fabric that proxies take for a publisher of ROS.
 
 use std::sync::{Arc, Weak};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use gdp::Publisher;
 use gdp::unstable::{NodeError, PublishOptions};
@@ -15,9 +15,6 @@ use super::error::RosSdkError;
 use crate::qos_mapping;
 use crate::roster::{self, Kind, Offer, Outgoing};
 use crate::types::sealed;
-
-/// Interval of the checks for a due list of publishers.
-const LOOK: Duration = Duration::from_millis(200);
 
 /// A publisher that announces itself to proxies as a ROS publisher, while it exists.
 pub struct RosSource {
@@ -43,10 +40,7 @@ impl RosSource {
             return Err(RosSdkError::OtherType { topic, carded: carded.into(), wanted: kind.name });
         }
         let publisher = ros.session.publisher(topic).options(options).await?;
-        let text = Some(schema.text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
-        let mut roster = Outgoing::new(kind, text);
-        roster.joined((), "", offer);
-        let origin = roster::origin(roster.number(&()).unwrap_or_default());
+        let (roster, origin) = roster::single(kind, schema, offer);
         let source = Arc::new(Self { publisher, roster: Mutex::new(roster), origin });
         source.announce()?;
         tokio::spawn(announce_until_dropped(Arc::downgrade(&source)));
@@ -67,8 +61,9 @@ impl RosSource {
 
 /// Announces the publisher whenever it is due. Does not keep it alive.
 async fn announce_until_dropped(source: Weak<RosSource>) {
-    loop {
-        tokio::time::sleep(LOOK).await;
+    // Nothing changes what it announces, so the time of the next announcement is known.
+    while let Some(due) = source.upgrade().and_then(|source| source.roster.lock().due()) {
+        tokio::time::sleep_until(due.into()).await;
         let Some(source) = source.upgrade() else { return };
         if let Err(error) = source.announce() {
             tracing::warn!(topic = source.publisher.topic(), %error, "cannot announce the publisher to proxies");

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::marker::PhantomData;
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use gdp_msg::{Encoding, TypeName};
 use gdp_wire::Name;
@@ -60,7 +60,7 @@ impl<T: RosMessage> RosSubscriber<T> {
     pub async fn recv(&mut self) -> Result<Option<Received<T>>, RosSdkError> {
         let Some(received) = next(&mut self.feed, &self.topic).await? else { return Ok(None) };
         let source = received.message.writer;
-        let time = SystemTime::UNIX_EPOCH + Duration::from_nanos(received.message.timestamp_ns);
+        let time = received.time();
         let message = self.decode(received)?;
         Ok(Some(Received { message, source, time }))
     }

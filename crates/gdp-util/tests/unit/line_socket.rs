@@ -75,7 +75,7 @@ fn watchers_leave_room_for_commands() {
 }
 
 #[test]
-fn a_client_without_a_slot_is_told_so() {
+fn a_client_beyond_the_limit_is_refused_with_the_reason() {
     let server = Server::start();
     let idle: Vec<_> = (0..MAX_COMMANDS).map(|_| server.ask("hello\n")).collect();
     assert!(idle.iter().all(|(_, answer)| answer == "hello\n"));

@@ -18,9 +18,9 @@ use gdp_directory::service::JoinService;
 use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::service_manager::ServiceManager;
+use gdp_util::signals;
 use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
-use tokio::signal::unix::{SignalKind, signal};
 
 use super::{Home, HomeOptions, files, members, renewals};
 use crate::cli::issuing::validity;
@@ -58,14 +58,12 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let _log = gdp_util::log::start();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     runtime.block_on(async {
-        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
-        let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
+        let stop = signals::stop().context("cannot wait for SIGTERM and SIGINT")?;
         let mut manager = ServiceManager::from_environment();
         manager.status("waiting for the switch");
         let ended = tokio::select! {
             ended = serve(home, &mut manager) => ended,
-            _ = terminate.recv() => Ok(()),
-            _ = interrupt.recv() => Ok(()),
+            () = stop => Ok(()),
         };
         manager.stopping();
         ended

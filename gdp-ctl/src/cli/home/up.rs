@@ -15,10 +15,10 @@ use gdp_core::cert::enrollment::ALL_MEMBERS;
 use gdp_core::domain::Token;
 use gdp_core::secret_file;
 use gdp_util::services::Services;
+use gdp_util::signals;
 use gdp_util::terminal::{self, note};
 use gdp_util::unix_time::unix_seconds;
 use tokio::process::{Child, Command};
-use tokio::signal::unix::{SignalKind, signal};
 
 use super::create::{DomainOptions, Made};
 use super::invite::Terms;
@@ -94,13 +94,11 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
-        let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
+        let stop = signals::stop().context("cannot wait for SIGTERM and SIGINT")?;
         let mut programs = Programs::default();
         let ended = tokio::select! {
             ended = programs.run(&home, options, &made, context) => ended,
-            _ = terminate.recv() => Ok(()),
-            _ = interrupt.recv() => Ok(()),
+            () = stop => Ok(()),
         };
         programs.stop().await;
         ended

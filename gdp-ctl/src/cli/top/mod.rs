@@ -7,8 +7,8 @@ mod sort_key;
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
@@ -121,22 +121,20 @@ fn show(
 /// Returns a flag that SIGINT, SIGTERM and SIGHUP set. They no longer kill the process, which
 /// restores the terminal first.
 fn stop_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let (flag, set) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    let (ours, ready) = (flag.clone(), set.clone());
+    let flag = Arc::new(AtomicBool::new(false));
+    let (ours, (ready, listens)) = (flag.clone(), mpsc::channel());
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
             let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
             let signals = kinds.into_iter().filter_map(|kind| signal(kind).ok()).collect::<Vec<_>>();
-            ready.store(true, Relaxed);
+            _ = ready.send(());
             let waiting = signals.into_iter().map(|mut signal| Box::pin(async move { signal.recv().await }));
             futures::future::select_all(waiting).await;
             ours.store(true, Relaxed);
         });
     })?;
-    while !set.load(Relaxed) {
-        std::thread::yield_now();
-    }
+    listens.recv().context("cannot wait for signals")?;
     Ok(flag)
 }

@@ -178,10 +178,7 @@ struct Source {
 
 impl Source {
     fn new(publisher: Publisher, maker: &Maker, offers: Offer) -> Self {
-        let text = Some(maker.encoder.schema().text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
-        let mut roster = Outgoing::new(maker.encoder.kind().clone(), text);
-        roster.joined((), "", offers);
-        let origin = roster::origin(roster.number(&()).unwrap_or_default());
+        let (roster, origin) = roster::single(maker.encoder.kind().clone(), maker.encoder.schema(), offers);
         Self { publisher, roster, origin }
     }
 

@@ -16,7 +16,7 @@ use gdp_proto::admin::links::PeersReply;
 use gdp_proto::admin::status::StatusReply;
 use gdp_proto::admin::tables::{FibReply, RibReply};
 use gdp_proto::admin::topology::TopologyReply;
-use gdp_util::unix_time::unix_seconds;
+use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use parking_lot::{Condvar, Mutex};
 use serde::Serialize;
 
@@ -149,7 +149,7 @@ impl Collector {
         self.read_members();
         self.read_labels(slow);
         let mut snapshot = PageSnapshot {
-            at_ms: unix_millis(),
+            at_ms: unix_nanos() / 1_000_000,
             uptime_ms: self.begun.elapsed().as_millis() as u64,
             events: self.events.latest(),
             ..PageSnapshot::default()
@@ -246,9 +246,4 @@ impl Collector {
 
 fn is_old<T>(known: &Option<(Instant, T)>) -> bool {
     known.as_ref().is_none_or(|(at, _)| at.elapsed() >= SLOW)
-}
-
-fn unix_millis() -> u64 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    now.map_or(0, |since| since.as_millis() as u64)
 }

@@ -25,10 +25,10 @@ use clap::Args;
 use gdp_core::name::NamePrefix;
 use gdp_http::{Access, AccessToken, HttpRequest, HttpResponse, Listener, StatusCode, parse_address, serve};
 use gdp_util::folders;
+use gdp_util::signals;
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
 use serde::Serialize;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::Semaphore;
 
 use super::home::HomeOptions;
@@ -103,7 +103,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let keyring = options.keyring.or_else(folders::configuration);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     runtime.block_on(async {
-        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
+        let stop = signals::stop().context("cannot wait for SIGTERM and SIGINT")?;
         let listener = Listener::bind(options.listen, Access::token_or_cookie(token, COOKIE))?;
         let address = listener.address();
         let events = RecentEvents::follow(context.clone());
@@ -122,8 +122,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         let one_path = Arc::new(Semaphore::new(1));
         tokio::select! {
             () = serve(listener, move |request| answer(request, collector.clone(), one_path.clone())) => {}
-            _ = terminate.recv() => {}
-            interrupted = tokio::signal::ctrl_c() => interrupted.context("cannot wait for ^C")?,
+            () = stop => {}
         }
         anyhow::Ok(())
     })?;

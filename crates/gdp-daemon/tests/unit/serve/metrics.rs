@@ -90,7 +90,7 @@ fn every_figure_is_that_of_the_status() {
 }
 
 #[test]
-fn strangers_and_too_many_links_are_summed() {
+fn unknown_peers_and_links_beyond_the_limit_are_summed() {
     let mut status = status();
     let stranger = |id: u16| link(id, id.into(), PeerRole::Endpoint, PeerRelationship::Stranger);
     status.links.extend((0..500).map(stranger));
