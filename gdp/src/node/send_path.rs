@@ -9,9 +9,10 @@
 //! events of the scheduler to the sealers.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use gdp_wire::Name;
-use parking_lot::Mutex;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 use super::clock::Clock;
@@ -32,6 +33,9 @@ use gdp_e2e::transport::{Output, TopicId};
 /// Maximum number of batches that a publisher sends itself. The sending thread sends the rest of a
 /// large message.
 const OWN_BATCHES: usize = 4;
+
+/// Maximum time that [`SendPath::finish`] waits for another thread to send its frames.
+const LONGEST_TURN: Duration = Duration::from_millis(100);
 
 pub struct SendPath {
     pub clock: Clock,
@@ -128,25 +132,28 @@ impl SendPath {
     }
 
     /// Seals and sends the batch of a publication without further waiting.
+    ///
+    /// Waits for a thread that is sending, because the caller may close the publication next. A
+    /// closed publication has no frames, so that thread would not send them.
     pub fn finish(&self, publication: &Publication) {
         if publication.sealer.seal_batch(u64::MAX).is_ok() {
-            self.send();
+            self.send_batches(self.sender.try_lock_for(LONGEST_TURN), OWN_BATCHES);
         }
     }
 
     /// Sends frames that may leave now. The sending thread sends the rest.
     pub fn send(&self) {
-        self.send_batches(OWN_BATCHES);
+        self.send_batches(self.sender.try_lock(), OWN_BATCHES);
     }
 
     /// Sends as [`Self::send`], but at most one batch. For threads that must not be long away from
     /// other work.
     pub fn send_one_batch(&self) {
-        self.send_batches(1);
+        self.send_batches(self.sender.try_lock(), 1);
     }
 
-    fn send_batches(&self, batches: usize) {
-        let next = match self.sender.try_lock() {
+    fn send_batches(&self, sender: Option<MutexGuard<'_, Sender>>, batches: usize) {
+        let next = match sender {
             Some(mut sender) => self.drain(&mut sender, batches),
             // The current sender may already have polled.
             None => Some(0),
