@@ -34,6 +34,8 @@ pub struct FabricOptions {
     pub udp: bool,
     /// Whether kernel state outlives the daemons, pinned in the fabric's own BPF file system.
     pub pinned: bool,
+    /// Whether it also outlives daemons that are stopped, as those of the packages are.
+    pub kept: bool,
 }
 
 impl Default for FabricOptions {
@@ -47,6 +49,7 @@ impl Default for FabricOptions {
             topics: 1,
             udp: false,
             pinned: false,
+            kept: false,
         }
     }
 }
@@ -290,7 +293,19 @@ impl Switch {
         at: &Namespace,
         folder: &Path,
         (label, name): (&str, &str),
+        config: Value,
+    ) -> Result<Self> {
+        Self::start_with(tools, at, folder, (label, name), config, &[])
+    }
+
+    /// [Starts](Self::start) a daemon with these further arguments.
+    fn start_with(
+        tools: &Tools,
+        at: &Namespace,
+        folder: &Path,
+        (label, name): (&str, &str),
         mut config: Value,
+        arguments: &[&str],
     ) -> Result<Self> {
         let socket = folder.join(format!("{label}.sock"));
         config["identity"] = json!(folder.join(format!("{label}.pem")));
@@ -298,7 +313,8 @@ impl Switch {
         let path = folder.join(format!("{label}.yaml"));
         write_yaml(&path, &config)?;
         let mut command = at.command(tools.gdp_ctl()?)?;
-        command.args(["serve", "--config"]).arg(path).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
+        command.args(["serve", "--config"]).arg(path).args(arguments);
+        command.envs(tools.loaded_object()?.map(|object| ("GDP_EBPF_OBJECT", object)));
         let process = Process::spawn(label, command, folder)?;
         Ok(Self { name: name.to_owned(), process, socket })
     }
@@ -347,7 +363,8 @@ fn start_switch(
     if let Some(uplink) = right {
         config["uplink"] = uplink;
     }
-    Switch::start(tools, &chain.switches()[i], folder, (&label, name), config)
+    let arguments: &[&str] = if options.kept { &["--keep"] } else { &[] };
+    Switch::start_with(tools, &chain.switches()[i], folder, (&label, name), config, arguments)
 }
 
 /// A mounted file system. Dropping it unmounts the file system, and thereby removes all pins.

@@ -10,13 +10,21 @@ pub struct Tools {
     executables: PathBuf,
     target: PathBuf,
     ebpf_object: &'static str,
+    /// Whether daemons load the programs that their executable embeds.
+    embedded: bool,
 }
 
 impl Tools {
     /// Creates the set of tools. `executables`: the folder of `gdp-ctl` and `gdp-proxy`; `target`:
     /// Cargo's target folder.
     pub fn new(executables: PathBuf, target: PathBuf) -> Self {
-        Self { executables, target, ebpf_object: "gdp-ebpf" }
+        Self { executables, target, ebpf_object: "gdp-ebpf", embedded: false }
+    }
+
+    /// Returns the same tools with the executables of a package, whose daemons load their own XDP
+    /// programs.
+    pub fn of_package(&self, executables: PathBuf) -> Self {
+        Self { executables, embedded: true, ..self.clone() }
     }
 
     /// Returns the tools for a test: the executables of the test's own build profile
@@ -39,6 +47,11 @@ impl Tools {
 
     pub fn ebpf_object(&self) -> Result<PathBuf> {
         existing(self.target.join("bpf").join(self.ebpf_object), "cargo xtask test")
+    }
+
+    /// Returns the object that daemons load in place of the one that they embed, if any.
+    pub fn loaded_object(&self) -> Result<Option<PathBuf>> {
+        (!self.embedded).then(|| self.ebpf_object()).transpose()
     }
 
     /// Returns the object with the programs that benchmarks and tests attach around the switch.

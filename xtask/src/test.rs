@@ -1,6 +1,7 @@
 //! `cargo xtask test`: runs unit tests, then the tests that need root: real XDP, DPDK, namespaces,
 //! DDS.
 
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Result, bail};
@@ -10,7 +11,7 @@ use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
 use crate::{build, peers, shell};
 
-#[derive(clap::Args)]
+#[derive(clap::Args, Default)]
 pub struct Options {
     /// Run only tests whose name contains this text
     filter: Option<String>,
@@ -23,12 +24,20 @@ pub struct Options {
     /// Run only tests that need root
     #[arg(long, conflicts_with = "unit")]
     root: bool,
+    /// Folder with the executables of another version, for the test of a rolling upgrade
+    #[arg(long, requires = "root", value_name = "DIR")]
+    previous: Option<PathBuf>,
     /// Run all tests that need no root, including those with DPDK
     #[arg(long, conflicts_with_all = ["unit", "root"])]
     no_root: bool,
     /// Run the unit tests of wire format, certificates, sealing and RIB as on arm64, with qemu
     #[arg(long, conflicts_with_all = ["unit", "root", "no_root"])]
     arm64: bool,
+}
+
+/// Runs the test of a rolling upgrade, from the executables in this folder to those of this source.
+pub fn rolling_upgrade(previous: PathBuf) -> Result<()> {
+    run(Options { filter: Some("rolling::".into()), root: true, previous: Some(previous), ..Options::default() })
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -66,6 +75,7 @@ pub fn run(options: Options) -> Result<()> {
     let networks = |threads: &str, choice: &[&str]| {
         let mut command = tests(&options);
         command.args(["--workspace", "--test", NETWORKS, "--", "--test-threads", threads]).args(choice);
+        command.envs(options.previous.iter().map(|folder| ("GDP_PREVIOUS_PACKAGE", folder)));
         shell::say_and_run(&mut command)
     };
     if options.filter.is_some() {

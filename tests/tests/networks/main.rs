@@ -41,6 +41,7 @@ mod replication_udp;
 mod restart;
 mod ring;
 mod roaming;
+mod rolling;
 mod same_host;
 mod selfheal;
 mod selfheal_domains;

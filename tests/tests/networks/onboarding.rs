@@ -6,7 +6,8 @@
 //!   192.168.5.7     10.9.0.2     10.9.0.1          10.9.1.2       192.168.5.7
 //! ```
 
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -18,6 +19,9 @@ use gdp_tests::wait::TIMEOUT;
 use serde_json::Value;
 
 const AT: &str = "10.9.0.1";
+
+/// The port of the join service's metrics.
+const JOIN_METRICS: u16 = 9406;
 
 #[test]
 fn a_robot_joins_in_two_commands_each_and_both_directions_flow() -> Result<()> {
@@ -46,6 +50,9 @@ fn a_robot_joins_in_two_commands_each_and_both_directions_flow() -> Result<()> {
 
     let robots = scene.robots()?;
     ensure!(state_of(&robots, "robot7")? == "online" && state_of(&robots, "server")? == "online", "{robots}");
+    let metrics = scene.join_metrics()?;
+    ensure!(metrics.contains("gdp_join_members{state=\"joined\"} 2"), "{metrics}");
+    ensure!(metrics.contains("gdp_join_replies_total{outcome=\"joined\"}"), "{metrics}");
     Ok(())
 }
 
@@ -231,11 +238,22 @@ impl Scene {
 
     pub fn up_with(&mut self, options: &[&str]) -> Result<()> {
         self.at_server += 1;
-        let command = self.at_server(&[&["up", "--at", AT], options].concat())?;
+        let mut command = self.at_server(&[&["up", "--at", AT], options].concat())?;
+        command.env("GDP_JOIN_METRICS", JOIN_METRICS.to_string());
         let mut up = Process::spawn("up", command, self.files.path())?;
         up.wait_until("the domain", TIMEOUT * 2, |up| up.stdout().contains("Next").then_some(()))?;
         self.up = Some(up);
         Ok(())
+    }
+
+    /// Returns what the join service answers to Prometheus.
+    fn join_metrics(&self) -> Result<String> {
+        let _inside = self.server.enter()?;
+        let mut stream = TcpStream::connect(("127.0.0.1", JOIN_METRICS))?;
+        stream.write_all(b"GET /metrics HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n")?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer)?;
+        Ok(answer)
     }
 
     pub fn ctl(&self, arguments: &[&str]) -> Result<String> {

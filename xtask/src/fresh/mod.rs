@@ -10,7 +10,7 @@
 
 mod cache;
 mod root;
-mod source;
+pub mod source;
 mod stages;
 
 use std::time::Duration;

@@ -3,6 +3,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufReader};
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -15,8 +16,10 @@ use super::arch::Arch;
 use super::build::packaging;
 use super::stage::Staged;
 
-/// Debian packages of the lower layer. The programs need no others, and no shell.
+/// Debian packages of the lower layer. The programs need no others, and no shell. Those of arm64
+/// are for cross compilers, so that this machine's Debian has them.
 const BASE: [&str; 3] = ["libc6", "libgcc-s1", "base-files"];
+const BASE_ARM64: [&str; 3] = ["libc6-arm64-cross", "libgcc-s1-arm64-cross", "base-files"];
 
 /// The folder of the volume for keys and configuration.
 const KEYS: &str = "etc/gdp";
@@ -36,7 +39,6 @@ struct Layer {
 
 /// Writes `gdp-VERSION-ARCH.oci.tar`, which `docker load`, `podman load` and skopeo read.
 pub fn write(staged: &Staged) -> Result<PathBuf> {
-    ensure!(staged.arch == Arch::Amd64, "the lower layer comes from this machine's Debian, so it is amd64");
     let work = staged.folder.join("image");
     if work.exists() {
         fs::remove_dir_all(&work)?;
@@ -44,7 +46,7 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     let blobs = work.join("oci/blobs/sha256");
     fs::create_dir_all(&blobs)?;
     let (base, programs) = (work.join("base"), work.join("programs"));
-    lay_out_base(&work, &base)?;
+    lay_out_base(staged.arch, &work, &base)?;
     for package in &staged.packages {
         if package.name != "gdp-switch" {
             fs::create_dir_all(&programs)?;
@@ -102,13 +104,64 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     Ok(file)
 }
 
+/// Unpacks the layers of an image as a runtime does, and starts its programs in them.
+pub fn check(file: &Path, arch: Arch) -> Result<()> {
+    let work = tempfile::tempdir()?;
+    let (oci, root) = (work.path().join("oci"), work.path().join("root"));
+    unpack(file, &oci)?;
+    let index: Value = serde_json::from_slice(&fs::read(oci.join("index.json"))?)?;
+    let manifest: Value = serde_json::from_slice(&fs::read(stored(&oci, &index["manifests"][0])?)?)?;
+    for layer in manifest["layers"].as_array().context("the image has no layers")? {
+        unpack(&stored(&oci, layer)?, &root)?;
+    }
+    for program in ["gdp-proxy", "gdp-ctl"] {
+        let inside = format!("usr/bin/{program}");
+        let mut command = if arch.is_native() {
+            let mut command = Program::Unshare.command();
+            let (user, group) = USER.split_once(':').context("a user and a group")?;
+            command.args(["--setuid", user, "--setgid", group, "--root"]).arg(&root).arg(format!("/{inside}"));
+            command
+        } else {
+            let mut command = Program::QemuArm64.command();
+            command.arg("-L").arg(&root).arg(root.join(inside));
+            command
+        };
+        let said =
+            execute(command.arg("--version")).with_context(|| format!("{program} does not start in the image"))?;
+        println!("in the image for {}: {}", arch.debian(), said.trim());
+    }
+    Ok(())
+}
+
+fn unpack(tar: &Path, to: &Path) -> Result<()> {
+    fs::create_dir_all(to)?;
+    execute(Program::Tar.command().arg("-xf").arg(tar).arg("-C").arg(to))?;
+    Ok(())
+}
+
+/// Returns the file of a blob, which has the digest that its descriptor states.
+fn stored(oci: &Path, descriptor: &Value) -> Result<PathBuf> {
+    let stated = descriptor["digest"].as_str().and_then(|digest| digest.strip_prefix("sha256:"));
+    let stated = stated.context("a descriptor without a digest")?;
+    let file = oci.join("blobs/sha256").join(stated);
+    ensure!(digest(&file)? == stated, "{} is not what its descriptor states", file.display());
+    Ok(file)
+}
+
 /// Unpacks the lower layer from packages of this machine's Debian.
-fn lay_out_base(work: &Path, base: &Path) -> Result<()> {
+fn lay_out_base(arch: Arch, work: &Path, base: &Path) -> Result<()> {
     let debs = work.join("debs");
     fs::create_dir_all(&debs)?;
-    execute(Program::AptGet.command().args(["-q", "download"]).args(BASE).current_dir(&debs))?;
+    let names = if arch == Arch::Amd64 { BASE } else { BASE_ARM64 };
+    execute(Program::AptGet.command().args(["-q", "download"]).args(names).current_dir(&debs))?;
     for entry in fs::read_dir(&debs)? {
         execute(Program::DpkgDeb.command().arg("-x").arg(entry?.path()).arg(base))?;
+    }
+    if arch == Arch::Arm64 {
+        let libraries = base.join("lib/aarch64-linux-gnu");
+        fs::create_dir_all(base.join("lib"))?;
+        fs::rename(base.join("usr/aarch64-linux-gnu/lib"), &libraries)?;
+        symlink("aarch64-linux-gnu/ld-linux-aarch64.so.1", base.join("lib/ld-linux-aarch64.so.1"))?;
     }
     for unused in ["usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/lintian", "usr/sbin"] {
         let _ = fs::remove_dir_all(base.join(unused));

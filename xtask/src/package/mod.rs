@@ -3,7 +3,7 @@
 //! [`compile`] makes the executables for an old glibc. [`stage`] lays out the files of each
 //! package, with [`manuals`]. [`deb`], [`tar`] and [`image`] write them into one file each.
 //! [`units`] checks the units. `try` installs the packages in a clean Debian root, `boot` in a
-//! virtual machine.
+//! virtual machine. `rolling-upgrade` upgrades switches one by one from another revision's package.
 
 mod arch;
 mod boot;
@@ -13,6 +13,7 @@ mod compile;
 mod deb;
 mod image;
 mod manuals;
+mod previous;
 mod stage;
 mod tar;
 mod trial;
@@ -23,6 +24,7 @@ use anyhow::Result;
 use self::arch::Arch;
 use self::build::Build;
 use crate::setup::{self, Purpose};
+use crate::test;
 
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
@@ -35,7 +37,7 @@ pub struct Options {
     /// Make a tar of all files, for other distributions
     #[arg(long)]
     tar: bool,
-    /// Make an image of the OCI with gdp-proxy and gdp-ctl (amd64 only)
+    /// Make an image of the OCI with gdp-proxy and gdp-ctl, and start them in it (needs root)
     #[arg(long)]
     image: bool,
     #[command(flatten)]
@@ -48,6 +50,13 @@ enum PackageAction {
     Try(Build),
     /// Boot the packages in a virtual machine with systemd (needs root)
     Boot(Build),
+    /// Upgrade a chain of switches one by one, under traffic, from the package of another revision
+    /// to this source (needs root)
+    RollingUpgrade {
+        /// The revision, in the words of git
+        #[arg(long, value_name = "REVISION")]
+        from: String,
+    },
     /// Check the units: their syntax, and how much of the system they can reach
     Units,
 }
@@ -57,8 +66,12 @@ pub fn run(options: Options) -> Result<()> {
     match options.action {
         Some(PackageAction::Try(build)) => return trial::run(&build),
         Some(PackageAction::Boot(build)) => return boot::run(&build),
+        Some(PackageAction::RollingUpgrade { from }) => return test::rolling_upgrade(previous::executables(&from)?),
         Some(PackageAction::Units) => return units::check(),
         None => {}
+    }
+    if options.build.arch == Arch::Arm64 {
+        setup::ensure(Purpose::Arm64)?;
     }
     units::check()?;
     let all = !(options.deb || options.tar || options.image);
@@ -70,8 +83,8 @@ pub fn run(options: Options) -> Result<()> {
     if options.tar || all {
         tar::write(&staged)?;
     }
-    if options.image || all && options.build.arch == Arch::Amd64 {
-        image::write(&staged)?;
+    if options.image || all {
+        image::check(&image::write(&staged)?, options.build.arch)?;
     }
     Ok(())
 }

@@ -66,7 +66,7 @@ fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     copy_all(&PROXY_UNITS, "systemd", &proxy.join("usr/lib/systemd/system"))?;
     copy_all(&["gdp.conf"], "sysusers.d", &cli.join("usr/lib/sysusers.d"))?;
     copy_all(&["gdp-switch.conf"], "tmpfiles.d", &switch.join("usr/lib/tmpfiles.d"))?;
-    copy_all(&["gdp-switch"], "default", &switch.join("etc/default"))?;
+    copy_all(&["gdp-switch", "gdp-join"], "default", &switch.join("etc/default"))?;
     copy_all(&["gdp-proxy"], "default", &proxy.join("etc/default"))?;
     let (version, glibc) = (build.version.clone(), executables.glibc);
     Ok(Staged { arch: build.arch, version, is_checked: build.checked, folder, glibc, packages })

@@ -30,7 +30,7 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     let _ = fs::remove_dir_all(tree.join("usr/share/lintian"));
     fs::copy(packaging("INSTALL"), tree.join("INSTALL"))?;
     // A tar would replace the administrator's files.
-    for file in ["gdp-switch", "gdp-proxy"] {
+    for file in ["gdp-switch", "gdp-join", "gdp-proxy"] {
         let path = tree.join("etc/default").join(file);
         fs::rename(&path, path.with_extension("example"))?;
     }

@@ -1,6 +1,7 @@
 //! `gdp-ctl join-service`: serves the domain's join service, publishes its directory, and renews
 //! memberships. The rules are in `gdp-directory`.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -19,9 +20,10 @@ use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::service_manager::ServiceManager;
 use gdp_util::signals;
-use gdp_util::unix_time::unix_nanos;
+use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use gdp_wire::Name;
 
+use super::join_metrics::JoinMetrics;
 use super::{Home, HomeOptions, files, members, renewals};
 use crate::cli::issuing::validity;
 
@@ -42,6 +44,12 @@ const RETRY: Duration = Duration::from_secs(1);
 pub struct Options {
     #[command(flatten)]
     home: HomeOptions,
+    /// Address and port of metrics in OpenMetrics, or a port alone for loopback
+    #[arg(long, value_name = "ADDRESS:PORT", env = "GDP_JOIN_METRICS", value_parser = gdp_http::parse_address)]
+    metrics: Option<SocketAddr>,
+    /// File of the token that a scrape needs. Without it, metrics are on loopback only
+    #[arg(long, value_name = "FILE", env = "GDP_JOIN_METRICS_TOKEN", requires = "metrics")]
+    metrics_token: Option<PathBuf>,
 }
 
 /// The service with its files.
@@ -51,6 +59,7 @@ struct JoinServer {
     publisher: Publisher,
     /// The directory that was published last.
     published: Vec<u8>,
+    metrics: JoinMetrics,
 }
 
 pub fn run(options: &Options) -> anyhow::Result<()> {
@@ -60,9 +69,15 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     runtime.block_on(async {
         let stop = signals::stop().context("cannot wait for SIGTERM and SIGINT")?;
         let mut manager = ServiceManager::from_environment();
+        let metrics = JoinMetrics::default();
+        if let Some(address) = options.metrics {
+            let listener = gdp_http::metrics::listen(address, options.metrics_token.as_deref()).context("metrics")?;
+            tracing::info!("metrics on http://{}{}", listener.address(), gdp_http::metrics::PATH);
+            tokio::spawn(metrics.clone().serve(listener));
+        }
         manager.status("waiting for the switch");
         let ended = tokio::select! {
-            ended = serve(home, &mut manager) => ended,
+            ended = serve(home, metrics, &mut manager) => ended,
             () = stop => Ok(()),
         };
         manager.stopping();
@@ -70,7 +85,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     })
 }
 
-async fn serve(home: Home, manager: &mut ServiceManager) -> anyhow::Result<()> {
+async fn serve(home: Home, metrics: JoinMetrics, manager: &mut ServiceManager) -> anyhow::Result<()> {
     let watcher = FileWatcher::start();
     let files = [files::ENROLLMENTS, files::RENEWALS, files::MEMBERSHIPS, files::DECISIONS];
     let signed: Vec<PathBuf> = files.map(|file| home.path(file)).into_iter().chain([home.revocation_path()]).collect();
@@ -88,7 +103,7 @@ async fn serve(home: Home, manager: &mut ServiceManager) -> anyhow::Result<()> {
     let publisher = node.publish(directory.proof(), own_right(&key, &directory, node.name())?, options()).await?;
     let mut server = node.serve(join.proof(), own_right(&key, &join, node.name())?).await?;
     let look = LOOK.min(Duration::from_secs((home.address()?.lifetime / 10).max(1)));
-    let mut running = JoinServer { home, service, publisher, published: Vec::new() };
+    let mut running = JoinServer { home, service, publisher, published: Vec::new(), metrics };
     running.publish();
     tracing::info!("the join service is ready");
     manager.ready("answers members");
@@ -145,6 +160,7 @@ impl JoinServer {
             }
             self.publish();
         }
+        self.metrics.replied(&reply);
         if let Err(error) = call.reply(JOIN, &reply.to_bytes()?).await {
             tracing::warn!(%caller, "the caller is gone: {error}");
         }
@@ -164,11 +180,15 @@ impl JoinServer {
 
     fn store(&self) -> anyhow::Result<()> {
         let waiting: Vec<_> = self.service.applications().iter().collect();
-        secret_file::replace(&self.home.path(files::APPLICATIONS), &cbor::encode(&waiting)?)?;
-        Ok(secret_file::replace(&self.home.path("directory.members"), &self.service.to_bytes()?)?)
+        let store = || -> anyhow::Result<()> {
+            secret_file::replace(&self.home.path(files::APPLICATIONS), &cbor::encode(&waiting)?)?;
+            Ok(secret_file::replace(&self.home.path("directory.members"), &self.service.to_bytes()?)?)
+        };
+        store().inspect_err(|_| self.metrics.write_failed())
     }
 
     fn publish(&mut self) {
+        self.metrics.update(&self.service, unix_seconds());
         match self.service.directory(unix_nanos()).to_bytes() {
             Ok(directory) if directory != self.published => {
                 self.publisher.pin(DIRECTORY, &directory);

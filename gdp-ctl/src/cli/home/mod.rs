@@ -23,6 +23,7 @@ mod enrollments;
 mod files;
 mod fleet;
 mod invite;
+mod join_metrics;
 mod join_service;
 mod members;
 mod renewals;
