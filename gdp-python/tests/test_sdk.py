@@ -1,6 +1,7 @@
 """The package at a real switch. The harness in Rust makes it, and keyrings of a robot and a laptop."""
 
 import asyncio
+import importlib.metadata
 import json
 import math
 import os
@@ -41,6 +42,11 @@ T = TypeVar("T")
 def some(received: Optional[T]) -> T:
     assert received is not None, "the session is open"
     return received
+
+
+def test_the_package_is_the_installed_one() -> None:
+    assert pathlib.Path(gdp.__file__).is_relative_to(sys.prefix)
+    assert importlib.metadata.version("gdp") == "0.1.0"
 
 
 def test_messages_arrive_in_order_with_their_source() -> None:
