@@ -5,6 +5,27 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Optional, Union, final
 
+__all__ = [
+    "GdpError",
+    "ConfigError",
+    "NotFoundError",
+    "RightsError",
+    "LinkError",
+    "NoReplyError",
+    "MessageError",
+    "open",
+    "finish",
+    "Session",
+    "Publisher",
+    "Subscriber",
+    "Sample",
+    "Client",
+    "Server",
+    "Call",
+    "RosPublisher",
+    "RosSubscriber",
+]
+
 class GdpError(Exception): ...
 class ConfigError(GdpError): ...
 class NotFoundError(GdpError): ...
