@@ -47,6 +47,8 @@ def some(received: Optional[T]) -> T:
 def test_the_package_is_the_installed_one() -> None:
     assert pathlib.Path(gdp.__file__).is_relative_to(sys.prefix)
     assert importlib.metadata.version("gdp") == "0.1.0"
+    errors = [gdp.ConfigError, gdp.LinkError, gdp.MessageError, gdp.NoReplyError, gdp.NotFoundError, gdp.RightsError]
+    assert all(error.__bases__ == (gdp.GdpError,) for error in errors)
 
 
 def test_messages_arrive_in_order_with_their_source() -> None:
@@ -77,7 +79,9 @@ def test_a_server_answers_a_client() -> None:
             async def serve() -> None:
                 async for call in robot.server("/light"):
                     assert call.source == laptop.name
-                    await call.reply(b"the light is " + call.payload)
+                    reply = call.reply(b"the light is " + call.payload)
+                    assert isinstance(reply, asyncio.Future), "as the stub says, which mypy cannot compare"
+                    await reply
 
             serving = asyncio.create_task(serve())
             client = await laptop.client("/light")
