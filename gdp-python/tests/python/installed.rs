@@ -26,8 +26,9 @@ impl Installed {
         pip.args(["-m", "pip", "--python"]).arg(&installed.python);
         // The backend is that of setup, so that nothing is loaded from PyPI.
         pip.args(["install", "--no-index", "--no-deps", "--no-build-isolation", "--no-cache-dir"]);
-        let target = folder.join("target");
-        pip.arg(format!("--config-settings=build-args=--profile checked --target-dir {}", target.display()));
+        let target = folder.join("target").display().to_string();
+        let maturin = ["--profile checked", "--compression-method stored", "--target-dir", &target].join(" ");
+        pip.arg(format!("--config-settings=build-args={maturin}"));
         pip.arg(env!("CARGO_MANIFEST_DIR")).env("PYTHONPATH", &installed.tools);
         let paths = std::env::var_os("PATH").unwrap_or_default();
         let paths = std::iter::once(sdk.with_file_name("")).chain(std::env::split_paths(&paths));
