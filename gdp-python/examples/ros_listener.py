@@ -5,7 +5,7 @@ import asyncio
 import gdp
 
 
-async def main():
+async def main() -> None:
     async with gdp.open() as session:
         async for message in session.ros_subscribe("/chatter"):
             print(message["data"], flush=True)

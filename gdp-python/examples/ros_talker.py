@@ -5,7 +5,7 @@ import asyncio
 import gdp
 
 
-async def main():
+async def main() -> None:
     async with gdp.open() as session:
         talker = await session.ros_publisher("/chatter", "std_msgs/msg/String")
         for count in range(1, 1000):

@@ -4,6 +4,8 @@
     python -m gdp.topic pub /chatter std_msgs/msg/String '{data: hi}'
 """
 
+from __future__ import annotations
+
 import argparse
 import base64
 import json
@@ -11,11 +13,13 @@ import math
 import os
 import sys
 import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Optional
 
 from . import GdpError, MessageError, blocking
 
 
-def arguments(argv=None):
+def arguments(argv: Optional[Sequence[str]] = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m gdp.topic", description="ROS topics of any type, without ROS")
     parser.add_argument("--keyring", help="folder with key, cards and certificates; default: GDP_KEYRING")
     parser.add_argument("--switch", help="switch to attach to, udp://HOST[:PORT]; default: GDP_SWITCH")
@@ -36,31 +40,31 @@ def arguments(argv=None):
     return parser.parse_args(argv)
 
 
-def positive(text):
+def positive(text: str) -> float:
     number = float(text)
     if not 0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a number greater than zero")
     return number
 
 
-def count(text):
+def count(text: str) -> int:
     number = int(text)
     if number < 0:
         raise argparse.ArgumentTypeError(f"{text} is less than zero")
     return number
 
 
-def printable(text):
+def printable(text: object) -> str:
     """Return a text without characters that steer a terminal or turn the direction of writing."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
-def as_json(value):
+def as_json(value: Any) -> str:
     """Return JSON, in ASCII. It has base64 for bytes, and text for NaN and infinities."""
     return json.dumps(plain(value))
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: plain(field) for name, field in value.items()}
     if isinstance(value, list):
@@ -72,7 +76,7 @@ def plain(value):
     return value
 
 
-def lines(value, indent=""):
+def lines(value: Mapping[str, Any], indent: str = "") -> Iterator[str]:
     """Return the lines of a value in YAML. Texts and numbers are those of JSON, which YAML includes."""
     for name, field in value.items():
         if isinstance(field, dict) and field:
@@ -82,7 +86,7 @@ def lines(value, indent=""):
             yield f"{indent}{printable(name)}: {as_json(field)}"
 
 
-def echo(session, options):
+def echo(session: blocking.Session, options: argparse.Namespace) -> None:
     subscriber = session.ros_subscribe(options.topic, definitions=options.definitions)
     while True:
         try:
@@ -100,7 +104,7 @@ def echo(session, options):
             return
 
 
-def pub(session, options):
+def pub(session: blocking.Session, options: argparse.Namespace) -> None:
     publisher = session.ros_publisher(options.topic, options.type, definitions=options.definitions)
     readers = options.readers if options.readers is not None else int(options.times is not None)
     publisher.wait_for_readers(readers)
@@ -114,7 +118,7 @@ def pub(session, options):
     publisher.flush()
 
 
-def main(argv=None):
+def main(argv: Optional[Sequence[str]] = None) -> int:
     options = arguments(argv)
     try:
         with blocking.open(options.keyring, options.switch) as session:

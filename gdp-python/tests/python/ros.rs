@@ -9,7 +9,8 @@ use gdp_tests::programs::own;
 use tokio::io::{AsyncBufReadExt as _, BufReader, Lines};
 use tokio::process::{Child, ChildStdout};
 
-use crate::site::{Entity, Site, existing, profile};
+use crate::installed::{environment, existing, profile};
+use crate::site::{Entity, Site};
 
 const TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -26,7 +27,7 @@ async fn programs_in_rust_and_python_talk_to_a_listener_of_ros() {
     let mut talker = Program::start(site.sdk(own(example("ros_talker")), &in_rust));
     listener.line(&mut [&mut proxy, &mut talker], |line| line.starts_with("hello") && !line.contains("Python")).await;
     drop(talker);
-    let mut talker = site.python("venv-sdk");
+    let mut talker = site.python();
     talker.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/ros_talker.py"));
     let mut talker = Program::start(site.sdk(talker, &in_python));
     listener
@@ -46,7 +47,7 @@ async fn programs_in_rust_and_python_listen_to_a_talker_of_ros() {
 
     let mut listener = Program::start(site.sdk(own(example("ros_listener")), &in_rust));
     listener.line(&mut [&mut proxy, &mut talker], |line| line == "hello from ROS").await;
-    let mut listener = site.python("venv-sdk");
+    let mut listener = site.python();
     listener.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/ros_listener.py"));
     let mut listener = Program::start(site.sdk(listener, &in_python));
     listener.line(&mut [&mut proxy, &mut talker], |line| line == "hello from ROS").await;
@@ -68,7 +69,7 @@ impl Site {
 
     /// A node of rclpy.
     fn node(&self, domain: u16, verb: &str) -> Command {
-        let mut command = self.python("venv");
+        let mut command = own(environment("venv"));
         command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ros_node.py")).args([verb, "/chatter"]);
         command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_LOG_DIR", std::env::temp_dir());
         // UDP alone, as the proxy does.

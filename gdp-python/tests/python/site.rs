@@ -1,4 +1,4 @@
-//! A switch with its RIB, keyrings of entities, and the package as Python finds it.
+//! A switch with its RIB, keyrings of entities, and Python with the package.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,11 +6,13 @@ use std::process::Command;
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_daemon::config::Config;
 use gdp_daemon::serve::{Running, start};
-use gdp_tests::programs::own;
+
+use crate::installed::Installed;
 
 pub struct Site {
     folder: tempfile::TempDir,
     daemon: Running,
+    installed: Installed,
     owner: SigningKey,
 }
 
@@ -26,8 +28,8 @@ impl Site {
         let (key, any_port) = (folder.path().join("switch.pem"), "127.0.0.1:0".parse().unwrap());
         let config = Config { rib: true, fib_capacity: 1024, ..Config::userspace(key, any_port) };
         let daemon = start(config).await.unwrap();
-        package(&folder.path().join("packages/gdp"));
-        Self { folder, daemon, owner: SigningKey::generate().unwrap() }
+        let installed = Installed::new(folder.path());
+        Self { folder, daemon, installed, owner: SigningKey::generate().unwrap() }
     }
 
     pub fn folder(&self) -> &Path {
@@ -66,32 +68,8 @@ impl Site {
         }
     }
 
-    /// Returns the Python of an environment, with the package.
-    pub fn python(&self, environment: &str) -> Command {
-        let python = profile().parent().unwrap().join(environment).join("bin/python");
-        let mut command = own(existing(python, "cargo xtask setup test"));
-        command.env("PYTHONPATH", self.folder.path().join("packages")).env("PYTHONDONTWRITEBYTECODE", "1");
-        command
+    /// Returns the Python that has the package.
+    pub fn python(&self) -> Command {
+        self.installed.python()
     }
-}
-
-/// Makes the package as `pip` installs it.
-fn package(folder: &Path) {
-    std::fs::create_dir_all(folder).unwrap();
-    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/gdp");
-    for entry in std::fs::read_dir(python).unwrap().map(Result::unwrap).filter(|entry| entry.path().is_file()) {
-        std::fs::copy(entry.path(), folder.join(entry.file_name())).unwrap();
-    }
-    let extension = existing(profile().join("deps/libgdp_python.so"), "cargo test -p gdp-python");
-    std::fs::copy(extension, folder.join("_gdp.abi3.so")).unwrap();
-}
-
-/// Cargo's folder of this profile: this test is in `target/PROFILE/deps`.
-pub fn profile() -> PathBuf {
-    std::env::current_exe().unwrap().ancestors().nth(2).unwrap().into()
-}
-
-pub fn existing(file: PathBuf, remedy: &str) -> PathBuf {
-    assert!(file.is_file(), "{} does not exist: run `{remedy}`", file.display());
-    file
 }

@@ -331,6 +331,14 @@ pub const STEPS: &[SetupStep] = &[
         ..WHEELS
     },
     SetupStep {
+        part: SetupPart::Python,
+        what: "maturin and mypy",
+        why: "tests install the package with pip, and compare its types with the extension module",
+        wheels: &["maturin==1.16.0", "mypy==2.4.1"],
+        environment: "venv-sdk",
+        ..WHEELS
+    },
+    SetupStep {
         part: SetupPart::Zenoh,
         what: "cmake, libclang and openssl",
         why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C, and wants certificates",
