@@ -94,6 +94,11 @@ impl<T: Claims> Signed<T> {
 
     /// Parses the bytes. Accepts only the encoding that [`issue`] produces, and unknown fields that
     /// are not critical.
+    /// Returns the bytes of the unverified payload, which are the same under every signature.
+    pub fn payload_unverified(&self) -> Result<Vec<u8>, CertError> {
+        Ok(self.parse()?.0.payload.unwrap_or_default())
+    }
+
     fn parse(&self) -> Result<(CoseSign1, T), CertError> {
         let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
         let header = &cose.protected.header;
