@@ -99,6 +99,11 @@ impl NameCard {
     }
 
     pub fn owner_key(&self) -> &VerifyKey {
+    /// Returns whether the metadata is that of a domain, with or without a successor.
+    pub fn is_domain(&self) -> bool {
+        self.metadata == name::domain_metadata(self.successor().as_ref())
+    }
+
         &self.owner_key
     }
 

@@ -202,11 +202,16 @@ impl Identity {
         Self { key, metadata, proof, name }
     }
 
-    /// Returns the identity of the domain with this card, if `key` may sign for it: as its owner's,
-    /// or as that of the successor.
+    /// Returns the identity of the domain with this card, if the card is a domain's and `key` may
+    /// sign for it: as its owner's, or as that of the successor.
     pub fn of_domain(key: SigningKey, card: &NameCard) -> Option<Self> {
         let (proof, name) = (card.proof(), card.name());
-        proof.is_signer(&key.verify_key()).then(|| Self { key, metadata: card.metadata().clone(), proof, name })
+        (card.is_domain() && proof.is_signer(&key.verify_key())).then(|| Self {
+            key,
+            metadata: card.metadata().clone(),
+            proof,
+            name,
+        })
     }
 
     pub fn generate(kind: &str) -> Result<Self, CryptoError> {

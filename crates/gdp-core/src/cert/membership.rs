@@ -47,6 +47,9 @@ impl Membership {
     /// Verifies the signatures as [`Self::verify`] does, regardless of time and revocations.
     pub fn verify_signatures(&self, domain: Name) -> Result<MemberCert, CertError> {
         expect_domain(domain, self.domain.name()?)?;
+        if let Some(kind) = self.domain.kind_but_domain() {
+            return Err(CertError::NotADomain { name: domain, kind });
+        }
         let base = match &self.invite {
             Some(invite) => self.verify_invited(invite, domain)?,
             None => self.cert.verify_for_name(&self.domain)?,

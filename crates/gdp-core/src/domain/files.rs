@@ -15,6 +15,8 @@ pub enum PaperFileError {
     #[error("{}: cannot be read: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
     #[error("{}: {source}", path.display())]
+    #[error("{}: not the card of a domain; name the file domain.card of the domain", .0.display())]
+    NotADomain(PathBuf),
     Cert { path: PathBuf, source: CertError },
 }
 
@@ -31,7 +33,11 @@ pub struct CredentialFiles {
 impl CredentialFiles {
     /// Reads the files. Checks that they belong together, but not that they are valid.
     pub fn load(&self) -> Result<Credentials, PaperFileError> {
-        let domain = NameCard::load(&self.card)?.proof();
+        let card = NameCard::load(&self.card)?;
+        if !card.is_domain() {
+            return Err(PaperFileError::NotADomain(self.card.clone()));
+        }
+        let domain = card.proof();
         let membership = read(&self.membership, Membership::from_pem)?;
         if membership.domain != domain {
             let wrong = |source| PaperFileError::Cert { path: self.membership.clone(), source };
