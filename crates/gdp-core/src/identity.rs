@@ -157,11 +157,12 @@ impl KeyFile {
         let content = secret_file::read(path, MAX_KEY_FILE)?;
         let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
         let (explanation, pem) = text.split_at(text.find("-----BEGIN ").unwrap_or_default());
-        let secret = SecretKey::from_pkcs8_pem(pem).map_err(|e| match FileKind::of(text) {
+        let secret = SecretKey::from_pkcs8_pem(pem).map_err(|_| match FileKind::of(text) {
             Some(kind) if kind != FileKind::Key => malformed(format!("it is {kind}, not a private key")),
-            _ => malformed(format!(
-                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
-            )),
+            _ => malformed(
+                "not a P-256 private key in PKCS#8 PEM form; `openssl pkcs8 -topk8 -nocrypt` converts other forms"
+                    .into(),
+            ),
         })?;
         let key = SigningKey::from_secret(secret).map_err(|e| malformed(e.to_string()))?;
         let kind = explanation.lines().find_map(|line| line.strip_prefix(KIND)).map(str::trim);

@@ -1,7 +1,7 @@
 //! Membership of an entity in a domain, with its evidence: verification, renewal and text form.
 
 use super::domain::check_not_revoked;
-use super::pem::Blocks;
+use super::pem::{Blocks, decode_block};
 use super::{BACKDATED, Claims, Invite, MemberCert, MembershipRenewal, RenewalDelegation, Revocation, Signed, issue};
 use crate::cbor;
 use crate::cert::error::CertError;
@@ -160,8 +160,7 @@ impl Membership {
         let cert = Signed::from_pem(blocks.take(MemberCert::LABEL)?)?;
         let invite = blocks.take_if(Invite::LABEL).map(Signed::from_pem).transpose()?;
         let renewal = MembershipRenewal::from_blocks(blocks)?;
-        let (_, proof) = pem::decode_vec(blocks.take(PROOF_LABEL)?.as_bytes())
-            .map_err(|error| CertError::Malformed(format!("{PROOF_LABEL}: {error}")))?;
+        let proof = decode_block(PROOF_LABEL, blocks.take(PROOF_LABEL)?)?;
         Ok(Self { cert, invite, renewal, domain: cbor::decode(&proof, MAX_PROOF)? })
     }
 

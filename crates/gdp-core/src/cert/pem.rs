@@ -2,6 +2,8 @@
 
 use super::MAX_SIGNED;
 use crate::cert::error::CertError;
+use crate::file_kind;
+use p256::pkcs8::der::pem;
 use std::collections::VecDeque;
 
 /// Maximum number of blocks in one file: a grant, a delegation, a member's certificate, an
@@ -17,6 +19,21 @@ pub(super) const MAX_TEXT: usize = 2 * MAX_BLOCKS * 2 * MAX_SIGNED;
 
 /// Blocks of a text in their order, each with its label.
 pub(super) struct Blocks<'t>(VecDeque<(&'t str, &'t str)>);
+
+/// Decodes one block, which must have this label.
+pub(super) fn decode_block(label: &str, text: &str) -> Result<Vec<u8>, CertError> {
+    // The decoder's errors are about its own steps.
+    let (found, bytes) = pem::decode_vec(text.trim_ascii_start().as_bytes()).map_err(|_| {
+        CertError::Malformed(format!("the text after \"BEGIN {label}\" is damaged; copy the whole file again"))
+    })?;
+    if found == label { Ok(bytes) } else { Err(wrong_label(label, Some(found))) }
+}
+
+fn wrong_label(expected: &str, found: Option<&str>) -> CertError {
+    let what = |label: &str| file_kind::of_label(label).map_or_else(|| label.to_owned(), |kind| kind.to_string());
+    let found = found.map_or_else(|| "nothing more".into(), what);
+    CertError::Malformed(format!("{found}, where {} is expected", what(expected)))
+}
 
 impl<'t> Blocks<'t> {
     /// Splits a text into blocks. Only blank lines may surround the blocks. Skips optional ones.
@@ -52,9 +69,8 @@ impl<'t> Blocks<'t> {
 
     /// Removes and returns the next block, which must have this label.
     pub fn take(&mut self, label: &str) -> Result<&'t str, CertError> {
-        let found = self.0.front().map_or_else(|| "nothing".into(), |(found, _)| format!("\"BEGIN {found}\""));
-        let wrong = || CertError::Malformed(format!("expected \"BEGIN {label}\", found {found}"));
-        self.take_if(label).ok_or_else(wrong)
+        let found = self.0.front().map(|(found, _)| *found);
+        self.take_if(label).ok_or_else(|| wrong_label(label, found))
     }
 
     /// Removes and returns the next block, if it has this label.
