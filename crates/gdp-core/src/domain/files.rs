@@ -1,8 +1,9 @@
 //! Files that hold an entity's [`Credentials`].
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
+
+use gdp_util::text_file;
 
 use super::Credentials;
 use crate::card::{CardError, NameCard};
@@ -14,9 +15,9 @@ pub enum PaperFileError {
     Card(#[from] CardError),
     #[error("{}: cannot be read: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
-    #[error("{}: {source}", path.display())]
     #[error("{}: not the card of a domain; name the file domain.card of the domain", .0.display())]
     NotADomain(PathBuf),
+    #[error("{}: {source}", path.display())]
     Cert { path: PathBuf, source: CertError },
 }
 
@@ -59,7 +60,8 @@ impl CredentialFiles {
 
 fn read<T>(path: &Path, parse: impl Fn(&str) -> Result<T, CertError>) -> Result<T, PaperFileError> {
     let io = |source| PaperFileError::Io { path: path.into(), source };
-    let mut text = String::new();
-    File::open(path).map_err(io)?.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(io)?;
-    parse(&text).map_err(|source| PaperFileError::Cert { path: path.into(), source })
+    let cert = |source| PaperFileError::Cert { path: path.into(), source };
+    let text = text_file::read(path, MAX_CERT_FILE as u64).map_err(io)?;
+    let too_long = || cert(CertError::Malformed(format!("longer than {MAX_CERT_FILE} bytes")));
+    parse(&text.ok_or_else(too_long)?).map_err(cert)
 }
