@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use gdp_wire::{Counter, FrameType, Header, Name, forward};
 use zerocopy::FromBytes;
 
+use super::clock_check::ahead;
 use super::command::Command;
 use super::counters::Counters;
 use super::early_frames::EarlyFrames;
@@ -329,6 +330,22 @@ impl Subscriptions {
                 if let Some(publication) = self.send_path.publications.get(&name) {
                     self.send_path.scheduler.feedback(now, publication.topic(), source, feedback);
                 }
+            }
+            Feedback::Clock { session, challenge, unix_ns, .. } => {
+                let publication = self.send_path.publications.get(&name);
+                let answer = publication.and_then(|it| it.clock_answer(&source, *session, *challenge));
+                if let Some(answer) = answer {
+                    self.outgoing.push(&source, answer);
+                    let ahead = ahead(*unix_ns, self.send_path.scheduler.stamp());
+                    self.send_path.clocks.record(Instant::now(), source, ahead, true);
+                }
+            }
+            Feedback::ClockAnswer { challenge, unix_ns, .. } => {
+                let Some(receiver) = self.receivers.get_mut(&name) else { return };
+                if let Some(ahead) = receiver.clock_answer(now, &source, challenge, *unix_ns) {
+                    self.send_path.clocks.record(Instant::now(), source, ahead, false);
+                }
+                self.schedule(&name);
             }
             Feedback::Welcome { .. } | Feedback::Unavailable { .. } => {
                 let Some(receiver) = self.receivers.get_mut(&name) else { return };

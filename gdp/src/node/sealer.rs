@@ -156,7 +156,7 @@ impl Sealer {
             return Ok(None);
         }
         let first = sealing.writer.next_sequence();
-        sealing.seal(now, drafts, self.scheduler.max_payload_of(self.topic))?;
+        sealing.seal(&self.scheduler, drafts, self.scheduler.max_payload_of(self.topic))?;
         begun.take().into_iter().for_each(|begun| begun(first));
         self.push_pending(sealing).map(taken(first))
     }
@@ -173,8 +173,7 @@ impl Sealer {
             return Ok(Pushed::Taken);
         }
         let mut batch = std::mem::replace(&mut sealing.batch, MessageBatch::new(None));
-        let sealed =
-            sealing.seal(self.scheduler.clock.now(), &batch.drafts(), self.scheduler.max_payload_of(self.topic));
+        let sealed = sealing.seal(&self.scheduler, &batch.drafts(), self.scheduler.max_payload_of(self.topic));
         batch.clear();
         sealing.batch = batch;
         sealed?;
@@ -198,7 +197,7 @@ impl Sealer {
             sealing.take_key()?;
             let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
             let Some(draft) = latched.next_again() else { return Ok(Pushed::Taken) };
-            writer.seal_batch(unix_nanos(), &[draft], self.scheduler.max_payload_of(self.topic), segments)?;
+            writer.seal_batch(self.scheduler.stamp(), &[draft], self.scheduler.max_payload_of(self.topic), segments)?;
             ring.used(1, segments.total_bytes() as u64);
             *pending = Sealed::new(std::mem::take(segments));
         }
@@ -272,7 +271,7 @@ impl Sealer {
         let sealing = &mut *self.sealing.lock();
         sealing.take_key()?;
         let Sealing { writer, segments, .. } = sealing;
-        writer.heartbeat(unix_nanos(), next, oldest, segments)?;
+        writer.heartbeat(self.scheduler.stamp(), next, oldest, segments)?;
         out.clear();
         segments.iter().for_each(|payload| out.extend_from_slice(payload));
         segments.clear();
@@ -368,14 +367,14 @@ impl Sealer {
 
 impl Sealing {
     /// Seals the next messages.
-    fn seal(&mut self, now: u64, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
+    fn seal(&mut self, scheduler: &Scheduler, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
         self.take_key()?;
         let Self { writer, ring, segments, latched, pending, sealed_at, .. } = self;
-        let (first, timestamp_ns) = (writer.next_sequence(), unix_nanos());
+        let (first, timestamp_ns) = (writer.next_sequence(), scheduler.stamp());
         writer.seal_batch(timestamp_ns, drafts, max_payload, segments)?;
         ring.used(drafts.len() as u64, segments.total_bytes() as u64);
         latched.keep(first, timestamp_ns, drafts);
-        (*pending, *sealed_at) = (Sealed::new(std::mem::take(segments)), now);
+        (*pending, *sealed_at) = (Sealed::new(std::mem::take(segments)), scheduler.clock.now());
         Ok(())
     }
 

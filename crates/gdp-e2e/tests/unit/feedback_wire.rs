@@ -38,7 +38,7 @@ fn other_lengths_and_kinds_are_refused() {
         }
         bytes.push(0);
         assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(0)));
-        for kind in [0, 6, 0xff] {
+        for kind in [0, 8, 0xff] {
             bytes[0] = kind;
             assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(kind)));
         }
@@ -101,7 +101,7 @@ fn messages_follow_one_another() {
     assert!(Feedback::decode_all(&[]).is_err(), "there is at least one");
 }
 
-fn all() -> [(Feedback, usize); 5] {
+fn all() -> [(Feedback, usize); 7] {
     let (name, session, challenge) = (NAME, SESSION, [3; 16]);
     let report = Feedback::Report {
         name,
@@ -121,6 +121,8 @@ fn all() -> [(Feedback, usize); 5] {
         (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, history: 0 }, 77),
         (report, 109),
         (Feedback::Unavailable { name, session, oldest: 12 }, 57),
+        (Feedback::Clock { name, session, challenge: [8; 16], unix_ns: u64::MAX }, 73),
+        (Feedback::ClockAnswer { name, challenge: [8; 16], unix_ns: 13 }, 57),
         (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 66 + 2 * 16),
     ]
 }

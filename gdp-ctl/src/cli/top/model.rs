@@ -91,6 +91,7 @@ fn proxy_notes(proxy: &ProxyReply) -> Vec<(Tone, String)> {
         let reason = proxy.links.iter().find_map(|link| link.reason.clone()).unwrap_or_default();
         notes.push((Tone::Alert, clean(&format!("the proxy has no switch: {reason}"))));
     }
+    notes.extend(proxy.clocks.iter().map(|clock| (Tone::Alert, clean(&clock.to_string()))));
     notes.extend(proxy.member_error.iter().map(|error| (Tone::Alert, clean(&format!("membership: {error}")))));
     notes
 }
