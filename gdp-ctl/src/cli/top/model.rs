@@ -106,6 +106,8 @@ fn switch_notes(switch: &StatusReply) -> Vec<(Tone, String)> {
     let warnings = switch.warnings.iter().map(|warning| match warning {
         Warning::Silent { entity, for_s, .. } => format!("{entity:#} has sent nothing for {for_s} s"),
         Warning::NotServed { count, .. } => format!("{count} names are read or called, and nobody publishes them"),
+        Warning::Open => "of no domain: every endpoint that reaches this switch gets a link".to_owned(),
+        Warning::SmallMtu { interface, mtu, needed } => format!("{interface}: MTU {mtu}, and links need {needed}"),
     });
     let refused = switch.refused.iter().take(3);
     let refused = refused.map(|of| format!("refused a {} of {:#}, × {}: {}", of.what, of.peer, of.count, of.reason));
