@@ -3,6 +3,8 @@
 //! ([`crate::keys`]), in a frame to the name of the receiver. The transport decides when to send
 //! each message and how to react to it.
 
+use gdp_core::cert::Signed;
+use gdp_core::keys::KeyBox;
 use gdp_wire::Name;
 
 /// Maximum number of ranges in a [`Feedback::Nack`]. Sealed, they fit a frame of 1200 bytes, which
@@ -24,6 +26,10 @@ const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
 const CLOCK_LEN: usize = 1 + 32 + 16 + 16 + 8;
 const CLOCK_ANSWER_LEN: usize = 1 + 32 + 16 + 8;
+const HELD_LEN: usize = 1 + 32 + 2;
+
+/// The largest wrapped key in a [`Feedback::Held`], in bytes.
+const MAX_KEY_BOX: usize = 768;
 
 /// The messages that a reader requests from a writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +99,9 @@ pub enum Feedback {
     /// Writer → reader, with the challenge of its Clock: the Unix time of the writer, in
     /// nanoseconds.
     ClockAnswer { name: Name, challenge: [u8; 16], unix_ns: u64 },
+    /// Reader → writer: the newest wrapped key that the reader holds of this writer. A later one
+    /// came with a lower epoch, which the reader does not take.
+    Held { name: Name, key_box: Signed<KeyBox> },
 }
 
 /// A range of segments of one message.
@@ -134,6 +143,8 @@ pub enum FeedbackError {
     Flag(u8),
     #[error("sequence {0} where at most {MAX_SEQUENCE} is possible")]
     Sequence(u64),
+    #[error("a wrapped key of {0} bytes where at most {MAX_KEY_BOX} are allowed")]
+    KeyBox(usize),
 }
 
 impl Feedback {
@@ -146,14 +157,15 @@ impl Feedback {
             | Self::Nack { name, .. }
             | Self::Unavailable { name, .. }
             | Self::Clock { name, .. }
-            | Self::ClockAnswer { name, .. } => *name,
+            | Self::ClockAnswer { name, .. }
+            | Self::Held { name, .. } => *name,
         }
     }
 
     /// Returns whether the message has a payload of its own. Releases that do not know its kind
     /// drop the whole payload.
     pub fn travels_alone(&self) -> bool {
-        matches!(self, Self::Clock { .. } | Self::ClockAnswer { .. })
+        matches!(self, Self::Clock { .. } | Self::ClockAnswer { .. } | Self::Held { .. })
     }
 
     /// Returns the length of the encoding in bytes.
@@ -166,6 +178,7 @@ impl Feedback {
             Self::Unavailable { .. } => UNAVAILABLE_LEN,
             Self::Clock { .. } => CLOCK_LEN,
             Self::ClockAnswer { .. } => CLOCK_ANSWER_LEN,
+            Self::Held { key_box, .. } => HELD_LEN + key_box.as_bytes().len(),
         }
     }
 
@@ -217,6 +230,10 @@ impl Feedback {
             Self::ClockAnswer { name, challenge, unix_ns } => {
                 put(out, &[&[kind::CLOCK_ANSWER][..], name.as_bytes(), challenge, &unix_ns.to_be_bytes()]);
             }
+            Self::Held { name, key_box } => {
+                let bytes = key_box.as_bytes();
+                put(out, &[&[kind::HELD][..], name.as_bytes(), &(bytes.len() as u16).to_be_bytes(), bytes]);
+            }
         }
         Ok(())
     }
@@ -249,6 +266,10 @@ impl Feedback {
             kind::UNAVAILABLE => UNAVAILABLE_LEN,
             kind::CLOCK => CLOCK_LEN,
             kind::CLOCK_ANSWER => CLOCK_ANSWER_LEN,
+            kind::HELD => match bytes.get(..HELD_LEN).and_then(<[u8]>::last_chunk) {
+                Some(length) => HELD_LEN + usize::from(u16::from_be_bytes(*length)),
+                None => HELD_LEN,
+            },
             kind => return Err(FeedbackError::Kind(kind)),
         };
         let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
@@ -289,6 +310,10 @@ impl Feedback {
                 Self::Clock { name, session, challenge, unix_ns: fields.u64()? }
             }
             kind::CLOCK_ANSWER => Self::ClockAnswer { name, challenge: fields.take()?, unix_ns: fields.u64()? },
+            kind::HELD => {
+                let [_, _] = fields.take()?;
+                Self::Held { name, key_box: Signed::from_bytes(fields.0.to_vec()).ok()? }
+            }
             _ => {
                 let (session, highest) = (fields.take()?, fields.u64()?);
                 let (highest_index, waited_us) = (fields.u32()?, fields.u32()?);
@@ -306,6 +331,10 @@ impl Feedback {
         };
         match self {
             Self::Hello { .. } | Self::Clock { .. } | Self::ClockAnswer { .. } => Ok(()),
+            Self::Held { key_box, .. } => match key_box.as_bytes().len() {
+                0..=MAX_KEY_BOX => Ok(()),
+                len => Err(FeedbackError::KeyBox(len)),
+            },
             Self::Welcome { sequence: from, .. } | Self::Unavailable { oldest: from, .. } => sequence(*from),
             Self::Report { highest, acknowledged, echo, .. } => {
                 [highest, acknowledged, echo].into_iter().try_for_each(|number| sequence(*number))
@@ -335,6 +364,7 @@ mod kind {
     pub const UNAVAILABLE: u8 = 5;
     pub const CLOCK: u8 = 6;
     pub const CLOCK_ANSWER: u8 = 7;
+    pub const HELD: u8 = 8;
 }
 
 fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {

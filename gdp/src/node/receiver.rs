@@ -347,6 +347,12 @@ impl Subscriptions {
                 }
                 self.schedule(&name);
             }
+            Feedback::Held { key_box, .. } => {
+                let publication = self.send_path.publications.get(&name);
+                if publication.is_some_and(|it| it.sealer.held(&source, key_box)) {
+                    self.send_path.upkeep.notify_one();
+                }
+            }
             Feedback::Welcome { .. } | Feedback::Unavailable { .. } => {
                 let Some(receiver) = self.receivers.get_mut(&name) else { return };
                 if receiver.hear(now, &source, feedback) {

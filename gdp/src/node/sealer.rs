@@ -15,7 +15,9 @@ use super::message_batch::{BATCH_WINDOW, MessageBatch};
 use super::options::{PublishOptions, Reliability};
 use super::scheduler::Scheduler;
 use gdp_core::crypto::{Backend, PUBLIC_KEY_LEN};
+use gdp_core::cert::Signed;
 use gdp_core::identity::Identity;
+use gdp_core::keys::KeyBox;
 use gdp_e2e::keys::{Boxes, KeyRing, Omission, RingError};
 use gdp_e2e::seal::{Draft, Encoding, SealError, Segments, Writer};
 use gdp_e2e::transport::{Full, Sealed, TopicId};
@@ -294,6 +296,17 @@ impl Sealer {
     /// Sets the readers that keys are wrapped for. Returns those that cannot receive keys.
     pub fn set_readers(&self, readers: &[(Name, [u8; PUBLIC_KEY_LEN])]) -> Vec<(Name, Omission)> {
         self.sealing.lock().ring.set_readers(readers)
+    }
+
+    /// Processes the newest key box that a reader holds of this writer. Returns whether an epoch is
+    /// to follow that one.
+    pub fn held(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
+        let follows = self.sealing.lock().ring.held(reader, key_box);
+        if follows {
+            tracing::warn!(name = %self.name, "an earlier run used later epochs, so the clock has been set back; going on \
+                                             after those");
+        }
+        follows
     }
 
     /// Returns the next key boxes to store with the RIB, if any.
