@@ -137,7 +137,10 @@ async fn a_refused_registration_is_counted_and_told() {
     let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), None).await.unwrap();
     let attach = Request::Entity(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 });
     let response = link.request(&attach).await.unwrap();
-    assert!(matches!(&response, Response::Refused(refusal) if refusal.code == RefusalCode::WrongSwitch), "{response:?}");
+    assert!(
+        matches!(&response, Response::Refused(refusal) if refusal.code == RefusalCode::WrongSwitch),
+        "{response:?}"
+    );
 
     let status = switch.status().await;
     assert_eq!(status["refused_total"]["registration"]["WrongSwitch"], 1, "{status}");

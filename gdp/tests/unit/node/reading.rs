@@ -18,7 +18,7 @@ fn a_writer_whose_epochs_are_behind_is_shown_the_newest_until_it_has_a_later_one
     counterpart.box_key = writer.box_public();
     let key_box = |epoch| {
         let key = EpochKey::from_bytes([epoch as u8; 32]);
-        wrap(NAME, &writer, (&reader.name(), &reader.box_public()), epoch, &key).unwrap()
+        wrap(NAME, &writer, (reader.name(), &reader.box_public()), epoch, &key).unwrap()
     };
     let told = |effects: Vec<Effect>| {
         let of = |effect| match effect {

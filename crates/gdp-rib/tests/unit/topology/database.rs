@@ -14,7 +14,7 @@ fn the_newest_counts_and_ends_in_time() {
         let (flooded, claims) = state(1, run, number, expires_in);
         d.take(NOW, flooded, claims, |_| true)
     };
-    let other = |claims: LinkState| LinkState { rib: true, ..claims };
+    let other = |claims: LinkState| LinkState { lifetime: 100, ..claims };
     let twice = [state(1, 2, 5, 100), signed(other(state(1, 2, 5, 100).1), 100)];
     let newer = twice.iter().max_by_key(|(flooded, _)| flooded.state.payload_unverified().unwrap()).unwrap();
     let take_again = |d: &mut Database, (flooded, claims): &(Flooded, LinkState)| {
