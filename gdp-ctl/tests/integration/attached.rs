@@ -148,7 +148,8 @@ async fn a_refused_registration_is_counted_and_told() {
     let event = tokio::task::spawn_blocking(move || {
         lines.map(|line| line.unwrap()).find(|line| line.contains("registration_refused")).unwrap()
     });
-    let event: serde_json::Value = serde_json::from_str(&event.await.unwrap()).unwrap();
+    let line: Value = serde_json::from_str(&event.await.unwrap()).unwrap();
+    let event = &line["event"];
     assert_eq!((&event["entity"], &event["code"]), (&entity.to_string().into(), &"WrongSwitch".into()), "{event}");
     assert!(event["reason"].as_str().unwrap().contains("wrong switch"), "{event}");
     switch.stop().await;
