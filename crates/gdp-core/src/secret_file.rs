@@ -1,7 +1,7 @@
 //! Files that hold secrets. They are created with mode 0600 and never visible half-written or with
 //! a wider mode. They belong to the owner of the folder, if root creates them. A file that others
-//! than the owner can access is refused, and so is one of another user. They hold private keys and the command line's state of a
-//! name; the caller defines the content.
+//! than the owner can access is refused, and so is one of another user. They hold private keys and
+//! the command line's state of a name; the caller defines the content.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};

@@ -26,9 +26,9 @@ const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
 const CLOCK_LEN: usize = 1 + 32 + 16 + 16 + 8;
 const CLOCK_ANSWER_LEN: usize = 1 + 32 + 16 + 8;
-const HELD_LEN: usize = 1 + 32 + 2;
+const NEWEST_KEY_LEN: usize = 1 + 32 + 2;
 
-/// The largest wrapped key in a [`Feedback::Held`], in bytes.
+/// The largest wrapped key in a [`Feedback::NewestKey`], in bytes.
 const MAX_KEY_BOX: usize = 768;
 
 /// The messages that a reader requests from a writer.
@@ -101,7 +101,7 @@ pub enum Feedback {
     ClockAnswer { name: Name, challenge: [u8; 16], unix_ns: u64 },
     /// Reader → writer: the newest wrapped key that the reader holds of this writer. A later one
     /// came with a lower epoch, which the reader does not take.
-    Held { name: Name, key_box: Signed<KeyBox> },
+    NewestKey { name: Name, key_box: Signed<KeyBox> },
 }
 
 /// A range of segments of one message.
@@ -158,14 +158,14 @@ impl Feedback {
             | Self::Unavailable { name, .. }
             | Self::Clock { name, .. }
             | Self::ClockAnswer { name, .. }
-            | Self::Held { name, .. } => *name,
+            | Self::NewestKey { name, .. } => *name,
         }
     }
 
     /// Returns whether the message has a payload of its own. Releases that do not know its kind
     /// drop the whole payload.
     pub fn travels_alone(&self) -> bool {
-        matches!(self, Self::Clock { .. } | Self::ClockAnswer { .. } | Self::Held { .. })
+        matches!(self, Self::Clock { .. } | Self::ClockAnswer { .. } | Self::NewestKey { .. })
     }
 
     /// Returns the length of the encoding in bytes.
@@ -178,7 +178,7 @@ impl Feedback {
             Self::Unavailable { .. } => UNAVAILABLE_LEN,
             Self::Clock { .. } => CLOCK_LEN,
             Self::ClockAnswer { .. } => CLOCK_ANSWER_LEN,
-            Self::Held { key_box, .. } => HELD_LEN + key_box.as_bytes().len(),
+            Self::NewestKey { key_box, .. } => NEWEST_KEY_LEN + key_box.as_bytes().len(),
         }
     }
 
@@ -230,9 +230,9 @@ impl Feedback {
             Self::ClockAnswer { name, challenge, unix_ns } => {
                 put(out, &[&[kind::CLOCK_ANSWER][..], name.as_bytes(), challenge, &unix_ns.to_be_bytes()]);
             }
-            Self::Held { name, key_box } => {
+            Self::NewestKey { name, key_box } => {
                 let bytes = key_box.as_bytes();
-                put(out, &[&[kind::HELD][..], name.as_bytes(), &(bytes.len() as u16).to_be_bytes(), bytes]);
+                put(out, &[&[kind::NEWEST_KEY][..], name.as_bytes(), &(bytes.len() as u16).to_be_bytes(), bytes]);
             }
         }
         Ok(())
@@ -266,9 +266,9 @@ impl Feedback {
             kind::UNAVAILABLE => UNAVAILABLE_LEN,
             kind::CLOCK => CLOCK_LEN,
             kind::CLOCK_ANSWER => CLOCK_ANSWER_LEN,
-            kind::HELD => match bytes.get(..HELD_LEN).and_then(<[u8]>::last_chunk) {
-                Some(length) => HELD_LEN + usize::from(u16::from_be_bytes(*length)),
-                None => HELD_LEN,
+            kind::NEWEST_KEY => match bytes.get(..NEWEST_KEY_LEN).and_then(<[u8]>::last_chunk) {
+                Some(length) => NEWEST_KEY_LEN + usize::from(u16::from_be_bytes(*length)),
+                None => NEWEST_KEY_LEN,
             },
             kind => return Err(FeedbackError::Kind(kind)),
         };
@@ -310,9 +310,9 @@ impl Feedback {
                 Self::Clock { name, session, challenge, unix_ns: fields.u64()? }
             }
             kind::CLOCK_ANSWER => Self::ClockAnswer { name, challenge: fields.take()?, unix_ns: fields.u64()? },
-            kind::HELD => {
+            kind::NEWEST_KEY => {
                 let [_, _] = fields.take()?;
-                Self::Held { name, key_box: Signed::from_bytes(fields.0.to_vec()).ok()? }
+                Self::NewestKey { name, key_box: Signed::from_bytes(fields.0.to_vec()).ok()? }
             }
             _ => {
                 let (session, highest) = (fields.take()?, fields.u64()?);
@@ -331,7 +331,7 @@ impl Feedback {
         };
         match self {
             Self::Hello { .. } | Self::Clock { .. } | Self::ClockAnswer { .. } => Ok(()),
-            Self::Held { key_box, .. } => match key_box.as_bytes().len() {
+            Self::NewestKey { key_box, .. } => match key_box.as_bytes().len() {
                 0..=MAX_KEY_BOX => Ok(()),
                 len => Err(FeedbackError::KeyBox(len)),
             },
@@ -364,7 +364,7 @@ mod kind {
     pub const UNAVAILABLE: u8 = 5;
     pub const CLOCK: u8 = 6;
     pub const CLOCK_ANSWER: u8 = 7;
-    pub const HELD: u8 = 8;
+    pub const NEWEST_KEY: u8 = 8;
 }
 
 fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {

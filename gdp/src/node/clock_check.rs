@@ -49,8 +49,8 @@ impl ClockCheck {
     }
 
     /// Processes an answer: the writer's Unix time, with this node's at present, in nanoseconds.
-    /// Returns the nanoseconds by which the writer's clock is ahead of this one, if the answer is to
-    /// the open question.
+    /// Returns the nanoseconds by which the writer's clock is ahead of this one, if the answer is
+    /// to the open question.
     pub fn answered(&mut self, now: u64, challenge: &[u8; 16], own: u64, theirs: u64) -> Option<i64> {
         self.challenge.take_if(|sent| sent == challenge)?;
         self.due = None;

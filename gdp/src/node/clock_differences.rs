@@ -32,9 +32,9 @@ pub struct ClockDifference {
 }
 
 #[derive(Default)]
-pub struct ClockDifferences(Mutex<BTreeMap<Name, Entry>>);
+pub struct ClockDifferences(Mutex<BTreeMap<Name, StatedClock>>);
 
-struct Entry {
+struct StatedClock {
     difference: ClockDifference,
     at: Instant,
     logged: Option<Instant>,
@@ -55,7 +55,7 @@ impl ClockDifferences {
             let oldest = peers.iter().min_by_key(|(_, entry)| entry.at).map(|(peer, _)| *peer);
             oldest.and_then(|oldest| peers.remove(&oldest));
         }
-        let entry = peers.entry(peer).or_insert(Entry { difference, at: now, logged: None });
+        let entry = peers.entry(peer).or_insert(StatedClock { difference, at: now, logged: None });
         (entry.difference, entry.at) = (difference, now);
         if entry.logged.is_some_and(|at| now.saturating_duration_since(at) < PERIOD) {
             return;

@@ -154,7 +154,7 @@ impl Reading {
         let Self { name, keys, behind, .. } = self;
         behind.retain(|writer, left| {
             *left -= 1;
-            let held = keys.newest(writer).map(|key_box| Feedback::Held { name: *name, key_box: key_box.clone() });
+            let held = keys.newest(writer).map(|key_box| Feedback::NewestKey { name: *name, key_box: key_box.clone() });
             effects.extend(held.map(|held| Effect::Tell(*writer, held)));
             *left > 0
         });

@@ -347,9 +347,9 @@ impl Subscriptions {
                 }
                 self.schedule(&name);
             }
-            Feedback::Held { key_box, .. } => {
+            Feedback::NewestKey { key_box, .. } => {
                 let publication = self.send_path.publications.get(&name);
-                if publication.is_some_and(|it| it.sealer.held(&source, key_box)) {
+                if publication.is_some_and(|it| it.sealer.take_newest(&source, key_box)) {
                     self.send_path.upkeep.notify_one();
                 }
             }

@@ -300,8 +300,8 @@ impl Sealer {
 
     /// Processes the newest key box that a reader holds of this writer. Returns whether an epoch is
     /// to follow that one.
-    pub fn held(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
-        let follows = self.sealing.lock().ring.held(reader, key_box);
+    pub fn take_newest(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
+        let follows = self.sealing.lock().ring.take_newest(reader, key_box);
         if follows {
             tracing::warn!(name = %self.name, "an earlier run used later epochs, so the clock has been set back; going on \
                                              after those");

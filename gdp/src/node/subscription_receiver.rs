@@ -192,8 +192,8 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Processes a writer's answer with its Unix time. Returns the nanoseconds by which its clock is
-    /// ahead of this one, if this reader has asked for it.
+    /// Processes a writer's answer with its Unix time. Returns the nanoseconds by which its clock
+    /// is ahead of this one, if this reader has asked for it.
     pub fn clock_answer(&mut self, now: u64, writer: &Name, challenge: &[u8; 16], unix_ns: u64) -> Option<i64> {
         self.writers.get_mut(writer)?.clock.answered(now, challenge, unix_nanos(), unix_ns)
     }

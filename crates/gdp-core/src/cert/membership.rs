@@ -1,7 +1,8 @@
 //! Membership of an entity in a domain, with its evidence: verification, renewal and text form.
 
+use super::block::decode_block;
 use super::domain::check_not_revoked;
-use super::pem::{Blocks, decode_block};
+use super::pem::Blocks;
 use super::{BACKDATED, Claims, Invite, MemberCert, MembershipRenewal, RenewalDelegation, Revocation, Signed, issue};
 use crate::cbor;
 use crate::cert::error::CertError;

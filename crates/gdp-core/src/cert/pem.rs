@@ -1,9 +1,8 @@
 //! Parser of text with several blocks of RFC 7468. The callers decode the content of the blocks.
 
 use super::MAX_SIGNED;
+use super::block::wrong_label;
 use crate::cert::error::CertError;
-use crate::file_kind;
-use p256::pkcs8::der::pem;
 use std::collections::VecDeque;
 
 /// Maximum number of blocks in one file: a grant, a delegation, a member's certificate, an
@@ -19,21 +18,6 @@ pub(super) const MAX_TEXT: usize = 2 * MAX_BLOCKS * 2 * MAX_SIGNED;
 
 /// Blocks of a text in their order, each with its label.
 pub(super) struct Blocks<'t>(VecDeque<(&'t str, &'t str)>);
-
-/// Decodes one block, which must have this label.
-pub(super) fn decode_block(label: &str, text: &str) -> Result<Vec<u8>, CertError> {
-    // The decoder's errors are about its own steps.
-    let (found, bytes) = pem::decode_vec(text.trim_ascii_start().as_bytes()).map_err(|_| {
-        CertError::Malformed(format!("the text after \"BEGIN {label}\" is damaged; copy the whole file again"))
-    })?;
-    if found == label { Ok(bytes) } else { Err(wrong_label(label, Some(found))) }
-}
-
-fn wrong_label(expected: &str, found: Option<&str>) -> CertError {
-    let what = |label: &str| file_kind::of_label(label).map_or_else(|| label.to_owned(), |kind| kind.to_string());
-    let found = found.map_or_else(|| "nothing more".into(), what);
-    CertError::Malformed(format!("{found}, where {} is expected", what(expected)))
-}
 
 impl<'t> Blocks<'t> {
     /// Splits a text into blocks. Only blank lines may surround the blocks. Skips optional ones.

@@ -1,6 +1,6 @@
 //! Exact bytes of a certificate, and their verification.
 
-use super::pem::decode_block;
+use super::block::decode_block;
 use super::{Claims, extension};
 use crate::cbor;
 use crate::cert::error::CertError;

@@ -11,14 +11,7 @@ use tokio::sync::watch;
 
 use super::core::Core;
 use super::daemon::Daemon;
-use super::interfaces::{self, InterfaceState};
-
-/// An interface whose MTU is too small, in bytes, and the MTU that it needs at least.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SmallMtu {
-    pub mtu: u32,
-    pub needed: u32,
-}
+use super::interfaces::{self, InterfaceState, SmallMtu};
 
 /// Watches the interfaces until the daemon ends. `named` are those with links on Ethernet.
 pub async fn run(daemon: Arc<Daemon>, named: Vec<String>, mut changes: watch::Receiver<()>) {

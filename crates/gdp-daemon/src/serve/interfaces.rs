@@ -65,6 +65,13 @@ pub struct InterfaceState {
     pub mtu: u32,
 }
 
+/// An interface whose MTU is too small, in bytes, and the MTU that it needs at least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SmallMtu {
+    pub mtu: u32,
+    pub needed: u32,
+}
+
 /// Returns the state of all interfaces. Interfaces that are down have no carrier.
 pub async fn states() -> Result<Vec<InterfaceState>, rtnetlink::Error> {
     let (connection, handle, _) =

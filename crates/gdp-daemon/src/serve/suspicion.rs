@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_secs(5);
 const PERIOD: Duration = Duration::from_secs(60);
 
 /// A kind of suspicious frame.
-struct Kind {
+struct Suspect {
     counter: Counter,
     /// The number of frames that count as a burst. Of some kinds, honest peers send a few after a
     /// restart.
@@ -31,23 +31,23 @@ struct Kind {
     about: &'static str,
 }
 
-const FRAMES: [Kind; 6] = [
-    Kind {
+const FRAMES: [Suspect; 6] = [
+    Suspect {
         counter: Counter::BadTag,
         burst: 10,
         is_peers: false,
         about: "frames that no peer with the link's key sent",
     },
-    Kind { counter: Counter::Replayed, burst: 10, is_peers: false, about: "frames that had come before" },
-    Kind { counter: Counter::Source, burst: 10, is_peers: true, about: "frames of a peer in the name of another" },
-    Kind {
+    Suspect { counter: Counter::Replayed, burst: 10, is_peers: false, about: "frames that had come before" },
+    Suspect { counter: Counter::Source, burst: 10, is_peers: true, about: "frames of a peer in the name of another" },
+    Suspect {
         counter: Counter::NotPermitted,
         burst: 10,
         is_peers: true,
         about: "frames to names that the peer may not send to",
     },
-    Kind { counter: Counter::NoLink, burst: 1000, is_peers: false, about: "frames that belong to no link" },
-    Kind { counter: Counter::Truncated, burst: 1000, is_peers: false, about: "frames that were cut short" },
+    Suspect { counter: Counter::NoLink, burst: 1000, is_peers: false, about: "frames that belong to no link" },
+    Suspect { counter: Counter::Truncated, burst: 1000, is_peers: false, about: "frames that were cut short" },
 ];
 
 /// The kind of handshakes that came to no link, and their burst.
@@ -97,7 +97,7 @@ fn look(daemon: &Daemon, bursts: &mut Bursts) {
     if let Ok(counters) = core.switch.planes.counters() {
         let values: BTreeMap<&str, u64> =
             counters.into_iter().map(|(counter, first, userspace)| (counter.as_str(), first + userspace)).collect();
-        for Kind { counter, burst, is_peers, about } in &FRAMES {
+        for Suspect { counter, burst, is_peers, about } in &FRAMES {
             let (what, value) = (counter.as_str(), values.get(counter.as_str()).copied().unwrap_or_default());
             let Some(count) = bursts.take(what, value, *burst, now) else { continue };
             let peer = is_peers.then(|| worst(&core, *counter)).flatten();

@@ -9,7 +9,7 @@ use gdp_proto::admin::status::Warning;
 use gdp_wire::{Counter, Name};
 
 use super::core::Core;
-use super::interface_watch::SmallMtu;
+use super::interfaces::SmallMtu;
 
 /// The time without a frame after which an endpoint counts as silent. A subscriber sends greetings
 /// to its publishers more often.

@@ -144,7 +144,7 @@ impl KeyRing {
     /// Processes the newest box that a reader holds of this writer. If this writer's own signature
     /// proves that an earlier run used a higher epoch, another epoch follows that one. This happens
     /// after a restart with a clock that was set back. Returns whether there is such an epoch.
-    pub fn held(&mut self, reader: &Name, signed: &Signed<KeyBox>) -> bool {
+    pub fn take_newest(&mut self, reader: &Name, signed: &Signed<KeyBox>) -> bool {
         let Ok(KeyBox { name, writer, reader: of, epoch, .. }) = signed.claims_unverified() else { return false };
         let is_news = epoch > self.latest().number.max(self.earlier) && self.readers.contains_key(reader);
         let is_own = (name, writer, of) == (self.name, self.writer.name(), *reader);

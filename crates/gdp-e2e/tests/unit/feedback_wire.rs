@@ -31,7 +31,7 @@ fn fields_are_where_the_specification_says() {
 
 #[test]
 fn a_held_key_has_the_length_that_it_states() {
-    let held = |len| Feedback::Held { name: NAME, key_box: Signed::from_bytes(vec![5; len]).unwrap() };
+    let held = |len| Feedback::NewestKey { name: NAME, key_box: Signed::from_bytes(vec![5; len]).unwrap() };
     for len in [0, 1, MAX_KEY_BOX] {
         let mut bytes = encoded(&held(len));
         assert_eq!(bytes.len(), 35 + len);

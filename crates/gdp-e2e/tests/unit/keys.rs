@@ -202,8 +202,8 @@ fn a_writer_that_restarts_with_a_clock_set_back_goes_on_after_the_epochs_that_re
     let mut claims = held.claims_unverified().unwrap();
     claims.epoch = u32::MAX;
     let forged = issue(world.readers[0].identity.key(), &claims).unwrap();
-    assert!(!world.ring.held(&reader, &forged) && !world.ring.held(&other, &held));
-    assert!(world.ring.held(&reader, &held) && !world.ring.held(&reader, &held), "once");
+    assert!(!world.ring.take_newest(&reader, &forged) && !world.ring.take_newest(&other, &held));
+    assert!(world.ring.take_newest(&reader, &held) && !world.ring.take_newest(&reader, &held), "once");
     world.now += SECOND;
     while let Some(boxes) = world.poll() {
         for signed in &boxes.boxes {

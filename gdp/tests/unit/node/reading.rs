@@ -22,7 +22,7 @@ fn a_writer_whose_epochs_are_behind_is_shown_the_newest_until_it_has_a_later_one
     };
     let told = |effects: Vec<Effect>| {
         let of = |effect| match effect {
-            Effect::Tell(to, Feedback::Held { name, key_box }) => Some((to, name, key_box)),
+            Effect::Tell(to, Feedback::NewestKey { name, key_box }) => Some((to, name, key_box)),
             _ => None,
         };
         effects.into_iter().filter_map(of).collect::<Vec<_>>()

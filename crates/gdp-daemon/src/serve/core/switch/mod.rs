@@ -16,7 +16,7 @@ use super::link_state::LinkState;
 use crate::domain::Relationship;
 use crate::serve::events::{Event, Events};
 use crate::serve::graceful_restart::{GracefulRestart, Reservation, StaleLink};
-use crate::serve::interface_watch::SmallMtu;
+use crate::serve::interfaces::SmallMtu;
 use crate::serve::recent_refusals::RecentRefusals;
 use crate::serve::refusals::Refusals;
 use crate::serve::routes::{PlaneChange, Routes};
