@@ -87,6 +87,8 @@ fn feedback() -> Seeds {
             },
         ),
         ("gone", Feedback::Unavailable { name, session, oldest: 5 }),
+        ("clock", Feedback::Clock { name, session, challenge: [4; 16], unix_ns: 6 }),
+        ("time", Feedback::ClockAnswer { name, challenge: [4; 16], unix_ns: 7 }),
     ];
     let encode = |feedback: &Feedback| {
         let mut bytes = Vec::new();

@@ -31,7 +31,9 @@ pub enum ClientError {
         .0.display()
     )]
     NotAllowed(PathBuf),
-    #[error("the daemon went away: {0}")]
+    #[error("the daemon has not answered within {} s; `gdp-ctl doctor` looks at this machine", TIMEOUT.as_secs())]
+    Silent,
+    #[error("the daemon has closed the connection ({0}); look into its log, and repeat the command")]
     Broken(std::io::Error),
     #[error("the daemon gave an answer that this program does not understand: {0}")]
     Malformed(String),
@@ -39,12 +41,20 @@ pub enum ClientError {
     Refused(ErrorReply),
 }
 
+/// Returns the error of a connection that has failed. A read that times out fails as if it blocked.
+fn broken(error: std::io::Error) -> ClientError {
+    match error.kind() {
+        ErrorKind::WouldBlock | ErrorKind::TimedOut => ClientError::Silent,
+        _ => ClientError::Broken(error),
+    }
+}
+
 impl ClientError {
     pub fn code(&self) -> ErrorCode {
         match self {
             Self::NoDaemon { .. } => ErrorCode::NoDaemon,
             Self::NotAllowed(_) => ErrorCode::NotAllowed,
-            Self::Broken(_) => ErrorCode::Disconnected,
+            Self::Silent | Self::Broken(_) => ErrorCode::Disconnected,
             Self::Malformed(_) => ErrorCode::Refused(RefusalCode::Malformed),
             Self::Refused(failure) => failure.code,
         }
@@ -68,8 +78,8 @@ impl Client {
             ErrorKind::PermissionDenied => ClientError::NotAllowed(path.into()),
             _ => ClientError::NoDaemon { path: path.into(), source },
         })?;
-        stream.set_read_timeout(Some(TIMEOUT)).map_err(ClientError::Broken)?;
-        stream.set_write_timeout(Some(TIMEOUT)).map_err(ClientError::Broken)?;
+        stream.set_read_timeout(Some(TIMEOUT)).map_err(broken)?;
+        stream.set_write_timeout(Some(TIMEOUT)).map_err(broken)?;
         Ok(Self { stream: BufReader::new(stream) })
     }
 
@@ -93,7 +103,7 @@ impl Client {
         let line = request.map_err(|error| ClientError::Malformed(error.to_string()))? + "\n";
         // A daemon without a free slot says so and reads nothing.
         match self.stream.get_mut().write_all(line.as_bytes()) {
-            Err(error) if error.kind() != ErrorKind::BrokenPipe => return Err(ClientError::Broken(error)),
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => return Err(broken(error)),
             _ => {}
         }
         self.reply()?.ok_or_else(|| ClientError::Broken(ErrorKind::UnexpectedEof.into()))
@@ -103,7 +113,7 @@ impl Client {
     fn reply(&mut self) -> Result<Option<Reply>, ClientError> {
         let malformed = |error: serde_json::Error| ClientError::Malformed(error.to_string());
         let mut line = String::new();
-        (&mut self.stream).take(MAX_REPLY).read_line(&mut line).map_err(ClientError::Broken)?;
+        (&mut self.stream).take(MAX_REPLY).read_line(&mut line).map_err(broken)?;
         if line.is_empty() {
             return Ok(None);
         }
@@ -122,7 +132,7 @@ impl Client {
     pub fn monitor(mut self) -> Result<Events, ClientError> {
         self.exchange(&Request::Monitor)?;
         // A daemon may send no events for a long time.
-        self.stream.get_mut().set_read_timeout(None).map_err(ClientError::Broken)?;
+        self.stream.get_mut().set_read_timeout(None).map_err(broken)?;
         Ok(Events(self))
     }
 }

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use gdp::unstable::ClockDifference;
 use gdp_util::unix_time::unix_time;
 
 use gdp_msg::Encoding;
@@ -124,20 +125,26 @@ impl Diagnostics {
     }
 
     /// Publishes the status of all routes. It is called once a second.
-    pub async fn tell(&mut self, routes: &[RouteStats], graphs: &All, types: &Types) {
+    pub async fn tell(&mut self, routes: &[RouteStats], clocks: &[ClockDifference], graphs: &All, types: &Types) {
         let now = unix_time();
         if let Err(error) = self.open(graphs, types).await {
             tracing::warn!("no diagnostics in a graph: {error}");
         }
-        if let Err(error) = self.tell_once(now, routes).await {
+        if let Err(error) = self.tell_once(now, routes, clocks).await {
             tracing::warn!("no diagnostics: {error}");
         }
     }
 
     /// `now` is the time since the Unix epoch.
-    async fn tell_once(&mut self, now: Duration, routes: &[RouteStats]) -> Result<(), Box<dyn std::error::Error>> {
+    async fn tell_once(
+        &mut self,
+        now: Duration,
+        routes: &[RouteStats],
+        clocks: &[ClockDifference],
+    ) -> Result<(), Box<dyn std::error::Error>> {
         let before = std::mem::take(&mut self.before);
-        let status = routes.iter().map(|route| self.status(route, &before)).collect();
+        let of_routes = routes.iter().map(|route| self.status(route, &before)).collect::<Vec<_>>();
+        let status = clocks.iter().map(|clock| of_clock(clock, self.entity)).chain(of_routes).collect();
         let stamp = Stamp { sec: now.as_secs(), nanosec: now.subsec_nanos() };
         let json = serde_json::to_vec(&Array { header: DiagnosticHeader { stamp, frame_id: "" }, status })?;
         for (writer, converter) in &mut self.outlets {
@@ -184,6 +191,18 @@ impl Diagnostics {
             hardware_id: format!("{:#}", self.entity),
             values,
         }
+    }
+}
+
+/// Returns the status of a counterpart whose clock differs.
+fn of_clock(clock: &ClockDifference, entity: Name) -> DiagnosticStatus {
+    let value = |key: &str, value: String| Value { key: key.into(), value };
+    DiagnosticStatus {
+        level: Level::Error as u8,
+        name: format!("gdp_proxy: clock of {:#}", clock.peer),
+        message: clock.to_string(),
+        hardware_id: format!("{entity:#}"),
+        values: vec![value("name", clock.peer.to_string()), value("ahead (ms)", clock.ahead_ms.to_string())],
     }
 }
 

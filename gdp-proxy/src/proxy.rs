@@ -159,7 +159,8 @@ async fn carry(
             request = requests.next() => drop(request.send(running.stats(&node, directory_status.as_ref()))),
             () = diagnostics::due(&mut diagnostics) => {
                 if let Some(diagnostics) = &mut diagnostics {
-                    diagnostics.tell(&running.routes.stats(), &graphs, &types).await;
+                    let clocks = node.clock_differences();
+                    diagnostics.tell(&running.routes.stats(), &clocks, &graphs, &types).await;
                 }
             }
             () = watch.changed() => {
@@ -276,6 +277,7 @@ impl RunningStats {
             catalogs,
             directory: directory.map(directory::stats),
             links: node.links(),
+            clocks: node.clock_differences(),
             node: node.counters(),
         }
     }
@@ -304,6 +306,7 @@ fn unattached(Loaded { config, material }: &Loaded) -> Stats {
         calls: Vec::new(),
         catalogs: Vec::new(),
         directory: None,
+        clocks: Vec::new(),
         links: config.links.iter().map(down).collect(),
         node: NodeCounters::default(),
     }

@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use gdp::unstable::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+use gdp::unstable::{ClockDifference, LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::Serialize;
@@ -213,6 +213,8 @@ pub struct Stats {
     pub calls: Vec<CallStats>,
     /// The links, in the order of the configuration.
     pub links: Vec<LinkStatus>,
+    /// The counterparts whose clocks differ, so that messages are refused as too old.
+    pub clocks: Vec<ClockDifference>,
     /// The counters of the proxy's node in the fabric.
     pub node: NodeCounters,
 }

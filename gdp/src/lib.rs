@@ -75,8 +75,8 @@ pub mod errors {
 pub mod unstable {
     pub use crate::keyring::{DirectoryRight, called, members};
     pub use crate::node::{
-        Call, Client, Ended, Feedback, FrameError, ImmediateSender, Instance, LinkConfig, LinkState, LinkStatus,
-        MessageSink, Meter, Node, NodeConfig, NodeCounters, NodeError, Overflow, PublishOptions, Publisher,
+        Call, Client, ClockDifference, Ended, Feedback, FrameError, ImmediateSender, Instance, LinkConfig, LinkState,
+        LinkStatus, MessageSink, Meter, Node, NodeConfig, NodeCounters, NodeError, Overflow, PublishOptions, Publisher,
         PublisherCounters, Reliability, Rotation, SETTLING, Server, Stated, SubscribeOptions, Subscription,
         SubscriptionCounters, Unflushed, Wants,
     };

@@ -7,6 +7,8 @@ mod abort_on_drop;
 mod attachment;
 mod choice;
 mod clock;
+mod clock_check;
+mod clock_differences;
 mod command;
 mod config;
 mod counters;
@@ -53,6 +55,7 @@ mod service_instances;
 mod services;
 mod shared_entry;
 mod sink;
+mod stamps;
 mod state;
 mod statement;
 mod subscription;
@@ -61,6 +64,7 @@ mod supervisor;
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Instant;
 
 use gdp_wire::Name;
 use parking_lot::Mutex;
@@ -85,6 +89,7 @@ use gdp_util::file_watch::FileSet;
 use gdp_util::unix_time::unix_seconds;
 
 pub use attachment::SETTLING;
+pub use clock_differences::ClockDifference;
 pub use config::{LinkConfig, NodeConfig};
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 pub use ending::Ended;
@@ -283,6 +288,12 @@ impl Node {
     /// detached.
     pub fn switch(&self) -> Result<Name, NodeError> {
         self.0.state.send_path.links.attached_now().map(|attachment| attachment.link.peer().name)
+    }
+
+    /// Returns the counterparts whose messages are refused, or who refuse those of this node, for
+    /// clocks that differ. Those of the last minute.
+    pub fn clock_differences(&self) -> Vec<ClockDifference> {
+        self.0.state.send_path.clocks.all(Instant::now())
     }
 
     /// Returns the counters of frames and messages.

@@ -7,10 +7,11 @@ use crate::file_kind::FileKind;
 use crate::name::{Metadata, Name, NameProof};
 use crate::verify_key::VerifyKey;
 use crate::{crypto, name};
+use gdp_util::text_file;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::fmt;
 use std::fs::OpenOptions;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
@@ -98,6 +99,11 @@ impl NameCard {
         self.metadata.get(name::SUCCESSOR)?.parse().ok()
     }
 
+    /// Returns whether the metadata is that of a domain, with or without a successor.
+    pub fn is_domain(&self) -> bool {
+        self.metadata == name::domain_metadata(self.successor().as_ref())
+    }
+
     pub fn owner_key(&self) -> &VerifyKey {
         &self.owner_key
     }
@@ -148,12 +154,8 @@ impl NameCard {
 
     pub fn load(path: &Path) -> Result<Self, CardError> {
         let io = |action| move |source| CardError::Io { path: path.into(), action, source };
-        let mut text = String::new();
-        let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
-        file.take(MAX_FILE as u64 + 1).read_to_string(&mut text).map_err(io("read"))?;
-        if text.len() > MAX_FILE {
-            return Err(CardError::TooLong(path.into()));
-        }
+        let text = text_file::read(path, MAX_FILE as u64).map_err(io("read"))?;
+        let text = text.ok_or_else(|| CardError::TooLong(path.into()))?;
         Self::from_json(&text).map_err(|error| match error {
             CardError::Malformed(reason) => CardError::Malformed(format!("{}: {reason}", path.display())),
             CardError::Bounds(reason) => CardError::Bounds(format!("{}: {reason}", path.display())),

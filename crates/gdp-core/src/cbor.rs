@@ -66,7 +66,18 @@ fn read<T: DeserializeOwned>(bytes: &[u8], max: usize) -> Result<T, CborError> {
     if bytes.len() > max {
         return Err(CborError::TooLong { got: bytes.len(), max });
     }
-    ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH).map_err(|e| CborError::Malformed(e.to_string()))
+    ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH).map_err(|e| CborError::Malformed(explain(&e)))
+}
+
+/// Returns what is wrong with undecodable bytes, in words. The decoder's own text is that of its
+/// data structures.
+pub fn explain<E>(error: &ciborium::de::Error<E>) -> String {
+    match error {
+        ciborium::de::Error::Io(_) => "it ends too early".into(),
+        ciborium::de::Error::Syntax(at) => format!("byte {at} begins no value"),
+        ciborium::de::Error::Semantic(_, reason) => reason.clone(),
+        ciborium::de::Error::RecursionLimitExceeded => "its values are nested too deeply".into(),
+    }
 }
 
 fn sort_maps(value: &mut Value) -> Result<(), CborError> {

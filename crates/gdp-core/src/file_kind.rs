@@ -41,8 +41,13 @@ impl FileKind {
         if found.ends_with("PRIVATE KEY") {
             return Some(Self::Key);
         }
-        CERTIFICATES.iter().find(|(_, label, _)| *label == found).map(|(kind, ..)| *kind)
+        of_label(found)
     }
+}
+
+/// Returns the kind of a certificate with this PEM label.
+pub fn of_label(label: &str) -> Option<FileKind> {
+    CERTIFICATES.iter().find(|(_, known, _)| *known == label).map(|(kind, ..)| *kind)
 }
 
 impl fmt::Display for FileKind {

@@ -157,11 +157,12 @@ impl KeyFile {
         let content = secret_file::read(path, MAX_KEY_FILE)?;
         let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
         let (explanation, pem) = text.split_at(text.find("-----BEGIN ").unwrap_or_default());
-        let secret = SecretKey::from_pkcs8_pem(pem).map_err(|e| match FileKind::of(text) {
+        let secret = SecretKey::from_pkcs8_pem(pem).map_err(|_| match FileKind::of(text) {
             Some(kind) if kind != FileKind::Key => malformed(format!("it is {kind}, not a private key")),
-            _ => malformed(format!(
-                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
-            )),
+            _ => malformed(
+                "not a P-256 private key in PKCS#8 PEM form; `openssl pkcs8 -topk8 -nocrypt` converts other forms"
+                    .into(),
+            ),
         })?;
         let key = SigningKey::from_secret(secret).map_err(|e| malformed(e.to_string()))?;
         let kind = explanation.lines().find_map(|line| line.strip_prefix(KIND)).map(str::trim);
@@ -202,11 +203,16 @@ impl Identity {
         Self { key, metadata, proof, name }
     }
 
-    /// Returns the identity of the domain with this card, if `key` may sign for it: as its owner's,
-    /// or as that of the successor.
+    /// Returns the identity of the domain with this card, if the card is a domain's and `key` may
+    /// sign for it: as its owner's, or as that of the successor.
     pub fn of_domain(key: SigningKey, card: &NameCard) -> Option<Self> {
         let (proof, name) = (card.proof(), card.name());
-        proof.is_signer(&key.verify_key()).then(|| Self { key, metadata: card.metadata().clone(), proof, name })
+        (card.is_domain() && proof.is_signer(&key.verify_key())).then(|| Self {
+            key,
+            metadata: card.metadata().clone(),
+            proof,
+            name,
+        })
     }
 
     pub fn generate(kind: &str) -> Result<Self, CryptoError> {

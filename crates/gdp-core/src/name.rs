@@ -64,6 +64,9 @@ fn push_string(json: &mut String, text: &str) {
 /// Key of a domain's metadata with the public key of its successor.
 pub const SUCCESSOR: &str = "successor";
 
+/// Kinds of entities, other than domains, whose metadata is the kind alone.
+pub const ENTITY_KINDS: [&str; 5] = ["switch", "proxy", "rib", "tool", "owner"];
+
 /// Returns the metadata of a domain. They may name the key that succeeds the owner's when that is
 /// lost.
 pub fn domain_metadata(successor: Option<&VerifyKey>) -> Metadata {
@@ -88,6 +91,14 @@ impl NameProof {
     /// metadata name it as successor.
     pub fn is_signer(&self, key: &VerifyKey) -> bool {
         *key.as_bytes() == self.owner_key || inner_digest(&domain_metadata(Some(key))) == self.digest
+    }
+
+    /// Returns the kind of the entity whose metadata has this digest, if it is a known one other
+    /// than a domain. A domain's digest may commit to a successor that only the domain's card
+    /// reveals, so no other digest can be ruled out.
+    pub fn kind_but_domain(&self) -> Option<&'static str> {
+        let is_of = |kind: &&str| inner_digest(&Metadata::from([("kind".to_owned(), (*kind).to_owned())]));
+        ENTITY_KINDS.into_iter().find(|kind| is_of(kind) == self.digest)
     }
 
     /// Returns the proven name. Refuses an owner key that is not a point on the curve, because

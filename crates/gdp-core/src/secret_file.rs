@@ -1,12 +1,14 @@
 //! Files that hold secrets. They are created with mode 0600 and never visible half-written or with
 //! a wider mode. They belong to the owner of the folder, if root creates them. A file that others
-//! than the owner can access is refused. They hold private keys and the command line's state of a
-//! name; the caller defines the content.
+//! than the owner can access is refused, and so is one of another user. They hold private keys and
+//! the command line's state of a name; the caller defines the content.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
+
+use gdp_util::folders;
 use zeroize::Zeroizing;
 
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +21,11 @@ pub enum SecretFileError {
     NotAFile(PathBuf),
     #[error("{}: mode {mode:04o} lets others at a secret; run `chmod 600 {}`", path.display(), path.display())]
     TooOpen { path: PathBuf, mode: u32 },
+    #[error(
+        "{}: belongs to user {owner}, who can read and change it; if it is this machine's, run `chown {own} {}`",
+        path.display(), path.display()
+    )]
+    OfAnother { path: PathBuf, owner: u32, own: u32 },
     #[error("{}: longer than {max} bytes, so not what it should be", path.display())]
     TooLong { path: PathBuf, max: usize },
     #[error("{}: {reason}", path.display())]
@@ -54,8 +61,7 @@ pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     with_temporary(path, content, |temporary| {
         fs::rename(temporary, path).map_err(io("replace"))?;
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("keep"))
+        File::open(folder_of(path)).and_then(|folder| folder.sync_all()).map_err(io("keep"))
     })
 }
 
@@ -90,12 +96,15 @@ fn give_to_owner_of_folder(file: &File, path: &Path) -> io::Result<()> {
     if OF_ROOT.iter().any(|name| path.file_name() == Some(name.as_ref())) {
         return Ok(());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let (own, above) = (file.metadata()?, folder.metadata()?);
+    let (own, above) = (file.metadata()?, folder_of(path).metadata()?);
     match own.uid() == 0 && above.uid() != 0 {
         true => fchown(file, Some(above.uid()), Some(above.gid())),
         false => Ok(()),
     }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Returns the contents of a file as [`read`] does, or `None` if it does not exist.
@@ -132,7 +141,18 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
     if mode & 0o077 != 0 {
         return Err(SecretFileError::TooOpen { path: path.into(), mode });
     }
-    Ok(())
+    check_owner(path, metadata.uid())
+}
+
+/// Refuses a file of a user other than this process's and root. Root also reads what it may have
+/// [given to the owner of the folder](give_to_owner_of_folder).
+fn check_owner(path: &Path, owner: u32) -> Result<(), SecretFileError> {
+    let own = folders::user();
+    let io = |source| SecretFileError::Io { path: path.into(), action: "examine", source };
+    if [own, 0].contains(&owner) || own == 0 && folder_of(path).metadata().map_err(io)?.uid() == owner {
+        return Ok(());
+    }
+    Err(SecretFileError::OfAnother { path: path.into(), owner, own })
 }
 
 #[cfg(test)]

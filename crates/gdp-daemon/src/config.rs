@@ -9,8 +9,6 @@ mod listen;
 mod neighbour;
 
 use std::collections::HashSet;
-use std::fs;
-use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
@@ -19,7 +17,7 @@ use gdp_core::crypto::Backend;
 use gdp_core::file_kind::FileKind;
 use gdp_http::parse_address;
 use gdp_link::link::RekeySchedule;
-use gdp_util::yaml;
+use gdp_util::{text_file, yaml};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -178,13 +176,11 @@ impl Config {
 
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let io = |source| ConfigError::Io { path: path.into(), source };
-        let mut text = String::new();
-        fs::File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        if text.len() as u64 > MAX_FILE {
+        let Some(text) = text_file::read(path, MAX_FILE).map_err(io)? else {
             let reason = format!("longer than {MAX_FILE} bytes, so not a configuration");
             return Err(ConfigError::Invalid { path: path.into(), reason });
-        }
+        };
         Self::parse(&text, folder).map_err(|error| match error {
             ParseError::Invalid(reason) => ConfigError::Invalid { path: path.into(), reason },
             ParseError::Folder(error) => error.into(),

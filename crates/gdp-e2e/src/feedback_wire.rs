@@ -3,6 +3,8 @@
 //! ([`crate::keys`]), in a frame to the name of the receiver. The transport decides when to send
 //! each message and how to react to it.
 
+use gdp_core::cert::Signed;
+use gdp_core::keys::KeyBox;
 use gdp_wire::Name;
 
 /// Maximum number of ranges in a [`Feedback::Nack`]. Sealed, they fit a frame of 1200 bytes, which
@@ -22,6 +24,12 @@ const REPORT_LEN: usize = 1 + 32 + 16 + 5 * 8 + 4 + 8 + 4 + 4;
 const NACK_LEN: usize = 1 + 32 + 16 + 8 + 4 + 4 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
+const CLOCK_LEN: usize = 1 + 32 + 16 + 16 + 8;
+const CLOCK_ANSWER_LEN: usize = 1 + 32 + 16 + 8;
+const NEWEST_KEY_LEN: usize = 1 + 32 + 2;
+
+/// The largest wrapped key in a [`Feedback::NewestKey`], in bytes.
+const MAX_KEY_BOX: usize = 768;
 
 /// The messages that a reader requests from a writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,6 +93,15 @@ pub enum Feedback {
     /// Writer → reader, in answer to a Nack: messages before this sequence can no longer be
     /// repaired.
     Unavailable { name: Name, session: [u8; 16], oldest: u64 },
+    /// Reader → writer of this session: what the writer signed is too old at this Unix time of the
+    /// reader's, in nanoseconds. Requests the time of the writer.
+    Clock { name: Name, session: [u8; 16], challenge: [u8; 16], unix_ns: u64 },
+    /// Writer → reader, with the challenge of its Clock: the Unix time of the writer, in
+    /// nanoseconds.
+    ClockAnswer { name: Name, challenge: [u8; 16], unix_ns: u64 },
+    /// Reader → writer: the newest wrapped key that the reader holds of this writer. A later one
+    /// came with a lower epoch, which the reader does not take.
+    NewestKey { name: Name, key_box: Signed<KeyBox> },
 }
 
 /// A range of segments of one message.
@@ -126,6 +143,8 @@ pub enum FeedbackError {
     Flag(u8),
     #[error("sequence {0} where at most {MAX_SEQUENCE} is possible")]
     Sequence(u64),
+    #[error("a wrapped key of {0} bytes where at most {MAX_KEY_BOX} are allowed")]
+    KeyBox(usize),
 }
 
 impl Feedback {
@@ -136,8 +155,17 @@ impl Feedback {
             | Self::Welcome { name, .. }
             | Self::Report { name, .. }
             | Self::Nack { name, .. }
-            | Self::Unavailable { name, .. } => *name,
+            | Self::Unavailable { name, .. }
+            | Self::Clock { name, .. }
+            | Self::ClockAnswer { name, .. }
+            | Self::NewestKey { name, .. } => *name,
         }
+    }
+
+    /// Returns whether the message has a payload of its own. Releases that do not know its kind
+    /// drop the whole payload.
+    pub fn travels_alone(&self) -> bool {
+        matches!(self, Self::Clock { .. } | Self::ClockAnswer { .. } | Self::NewestKey { .. })
     }
 
     /// Returns the length of the encoding in bytes.
@@ -148,6 +176,9 @@ impl Feedback {
             Self::Report { .. } => REPORT_LEN,
             Self::Nack { missing, .. } => NACK_LEN + missing.len() * MISSING_LEN,
             Self::Unavailable { .. } => UNAVAILABLE_LEN,
+            Self::Clock { .. } => CLOCK_LEN,
+            Self::ClockAnswer { .. } => CLOCK_ANSWER_LEN,
+            Self::NewestKey { key_box, .. } => NEWEST_KEY_LEN + key_box.as_bytes().len(),
         }
     }
 
@@ -193,6 +224,16 @@ impl Feedback {
             Self::Unavailable { name, session, oldest } => {
                 put(out, &[&[kind::UNAVAILABLE][..], name.as_bytes(), session, &oldest.to_be_bytes()]);
             }
+            Self::Clock { name, session, challenge, unix_ns } => {
+                put(out, &[&[kind::CLOCK][..], name.as_bytes(), session, challenge, &unix_ns.to_be_bytes()]);
+            }
+            Self::ClockAnswer { name, challenge, unix_ns } => {
+                put(out, &[&[kind::CLOCK_ANSWER][..], name.as_bytes(), challenge, &unix_ns.to_be_bytes()]);
+            }
+            Self::NewestKey { name, key_box } => {
+                let bytes = key_box.as_bytes();
+                put(out, &[&[kind::NEWEST_KEY][..], name.as_bytes(), &(bytes.len() as u16).to_be_bytes(), bytes]);
+            }
         }
         Ok(())
     }
@@ -223,6 +264,12 @@ impl Feedback {
                 None => NACK_LEN,
             },
             kind::UNAVAILABLE => UNAVAILABLE_LEN,
+            kind::CLOCK => CLOCK_LEN,
+            kind::CLOCK_ANSWER => CLOCK_ANSWER_LEN,
+            kind::NEWEST_KEY => match bytes.get(..NEWEST_KEY_LEN).and_then(<[u8]>::last_chunk) {
+                Some(length) => NEWEST_KEY_LEN + usize::from(u16::from_be_bytes(*length)),
+                None => NEWEST_KEY_LEN,
+            },
             kind => return Err(FeedbackError::Kind(kind)),
         };
         let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
@@ -258,6 +305,15 @@ impl Feedback {
                 delay_us: fields.u32()?,
             },
             kind::UNAVAILABLE => Self::Unavailable { name, session: fields.take()?, oldest: fields.u64()? },
+            kind::CLOCK => {
+                let (session, challenge) = (fields.take()?, fields.take()?);
+                Self::Clock { name, session, challenge, unix_ns: fields.u64()? }
+            }
+            kind::CLOCK_ANSWER => Self::ClockAnswer { name, challenge: fields.take()?, unix_ns: fields.u64()? },
+            kind::NEWEST_KEY => {
+                let [_, _] = fields.take()?;
+                Self::NewestKey { name, key_box: Signed::from_bytes(fields.0.to_vec()).ok()? }
+            }
             _ => {
                 let (session, highest) = (fields.take()?, fields.u64()?);
                 let (highest_index, waited_us) = (fields.u32()?, fields.u32()?);
@@ -274,7 +330,11 @@ impl Feedback {
             _ => Err(FeedbackError::Sequence(sequence)),
         };
         match self {
-            Self::Hello { .. } => Ok(()),
+            Self::Hello { .. } | Self::Clock { .. } | Self::ClockAnswer { .. } => Ok(()),
+            Self::NewestKey { key_box, .. } => match key_box.as_bytes().len() {
+                0..=MAX_KEY_BOX => Ok(()),
+                len => Err(FeedbackError::KeyBox(len)),
+            },
             Self::Welcome { sequence: from, .. } | Self::Unavailable { oldest: from, .. } => sequence(*from),
             Self::Report { highest, acknowledged, echo, .. } => {
                 [highest, acknowledged, echo].into_iter().try_for_each(|number| sequence(*number))
@@ -302,6 +362,9 @@ mod kind {
     pub const REPORT: u8 = 3;
     pub const NACK: u8 = 4;
     pub const UNAVAILABLE: u8 = 5;
+    pub const CLOCK: u8 = 6;
+    pub const CLOCK_ANSWER: u8 = 7;
+    pub const NEWEST_KEY: u8 = 8;
 }
 
 fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {

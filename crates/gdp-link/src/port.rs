@@ -23,7 +23,7 @@ mod udp;
 #[path = "../tests/unit/port/udp_tests.rs"]
 mod udp_tests;
 
-pub use crate::port::route_mtu::UDP_MTU;
+pub use crate::port::route_mtu::{UDP_MTU, min_udp_mtu};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -58,7 +58,7 @@ pub use sys::WakeFd;
 const MAX_ETHERNET_QUIC: u32 = 1472;
 
 /// Smallest Ethernet MTU that QUIC supports, with the control header.
-const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
+pub const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
 
 /// Maximum number of switches in a discovery result.
 const MAX_ANSWERS: usize = 64;

@@ -43,6 +43,7 @@ use gdp_util::escape::Escaped;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use gdp_core::cbor;
 use gdp_core::cert::{
     AdCert, Advert, CertError, Host, Issued, LinkState, Membership, Reading, Revocation, RtCert, Signed,
 };
@@ -347,7 +348,7 @@ fn undecodable(error: &ciborium::de::Error<std::io::Error>) -> CodecError {
             let kind: String = kind.chars().take(LONGEST_KIND).collect();
             CodecError::Unknown(Escaped(kind).to_string())
         }
-        None => CodecError::Malformed(error.to_string()),
+        None => CodecError::Malformed(cbor::explain(error)),
     }
 }
 

@@ -23,10 +23,15 @@ impl fmt::Display for NoFolder {
 
 impl std::error::Error for NoFolder {}
 
+/// Returns the effective user of this process.
+pub fn user() -> u32 {
+    // SAFETY: geteuid has no preconditions and cannot fail.
+    unsafe { libc::geteuid() }
+}
+
 /// Returns whether this process runs as root.
 pub fn is_root() -> bool {
-    // SAFETY: geteuid has no preconditions and cannot fail.
-    unsafe { libc::geteuid() == 0 }
+    user() == 0
 }
 
 /// Returns the folder of the keys that are generated at first start.

@@ -16,6 +16,7 @@
 //! - [`services`]: the units of the packages (feature `program`)
 //! - [`signals`]: the signals that end a program (feature `program`)
 //! - [`terminal`]: output lines for users (feature `program`)
+//! - [`text_file`]: files of people, read within a bound (feature `text-file`)
 //! - [`ticks`]: common ticks for periodic work
 //! - [`unix_time`]: the clock of this machine
 //! - [`yaml`]: strict YAML files, with errors for people (feature `yaml`)
@@ -48,6 +49,8 @@ pub mod services;
 pub mod signals;
 #[cfg(feature = "program")]
 pub mod terminal;
+#[cfg(feature = "text-file")]
+pub mod text_file;
 pub mod ticks;
 pub mod unix_time;
 #[cfg(feature = "yaml")]

@@ -1,6 +1,5 @@
 //! Contents of certificate files, for the commands that show, use or revoke certificates.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -10,6 +9,7 @@ use gdp_core::cert::{
     Reading, Revocation, RtCert, Signed,
 };
 use gdp_core::file_kind::FileKind;
+use gdp_util::text_file;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -76,12 +76,11 @@ pub enum CredentialFile {
 
 impl CredentialFile {
     pub fn load(file: &Path) -> anyhow::Result<Self> {
-        let mut text = String::new();
-        let opened = std::fs::File::open(file).with_context(|| format!("cannot open {}", file.display()))?;
-        opened
-            .take(MAX_CERT_FILE as u64 + 1)
-            .read_to_string(&mut text)
-            .with_context(|| format!("cannot read {} as text", file.display()))?;
+        let text =
+            text_file::read(file, MAX_CERT_FILE as u64).with_context(|| format!("cannot read {}", file.display()))?;
+        let Some(text) = text else {
+            bail!("{}: longer than {MAX_CERT_FILE} bytes, so not a certificate", file.display())
+        };
         Self::parse(&text).with_context(|| file.display().to_string())
     }
 

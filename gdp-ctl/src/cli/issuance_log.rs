@@ -6,6 +6,7 @@
 //! ledger all grants remain valid, but only a serial or a file can identify them.
 
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -13,6 +14,7 @@ use gdp_core::card::NameCard;
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::secret_file;
 use gdp_util::escape::escape_json;
+use gdp_util::text_file;
 use gdp_wire::Name;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -22,7 +24,7 @@ const VERSION: u32 = 1;
 /// Maximum size in bytes; an entry has about 300 bytes.
 const MAX_LEDGER: usize = 4 << 20;
 
-const MAX_REVOCATION: usize = 16 << 10;
+const MAX_REVOCATION: u64 = 16 << 10;
 
 /// The card of a name, and the files beside it.
 pub struct IssuanceLog {
@@ -120,9 +122,14 @@ impl IssuanceLog {
 /// Returns the revocation in this file, if it exists. The file is replaced as a whole, so it needs
 /// no lock.
 pub fn newest_revocation(card: &NameCard, path: &Path) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
-    let Some(content) = secret_file::read_optional(path, MAX_REVOCATION)? else { return Ok(None) };
+    // The owner's signature protects it, and everybody may read it.
+    let text = match text_file::read(path, MAX_REVOCATION) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        text => text.with_context(|| format!("cannot read {}", path.display()))?,
+    };
     let check = || -> anyhow::Result<_> {
-        let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
+        let text = text.with_context(|| format!("longer than {MAX_REVOCATION} bytes, so not a revocation"))?;
+        let signed = Signed::<Revocation>::from_pem(&text)?;
         let claims = signed.verify_revocation(&card.proof())?;
         Ok((signed, claims))
     };

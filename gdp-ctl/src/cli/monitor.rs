@@ -26,6 +26,11 @@ pub fn words(event: &Event) -> (&'static str, String) {
         }
         Event::LinkDown { peer, reason } => ("link down", format!("{peer:#}: {reason}")),
         Event::LinkRefused { peer, via, reason } => ("link refused", format!("{peer:#} {via}: {reason}")),
+        Event::RegistrationRefused { entity, reason, .. } => ("refused", format!("{entity:#}: {reason}")),
+        Event::Suspicious { what, count, peer } => {
+            let from = peer.map(|peer| format!(", most over the link of {peer:#}")).unwrap_or_default();
+            ("suspicious", format!("{count} × {what}{from}"))
+        }
         Event::Attached { entity } => ("attached", format!("{entity:#}")),
         Event::Detached { entity } => ("detached", format!("{entity:#}")),
         Event::Routes { changes, generation } => ("routes", format!("{changes} changed, generation {generation}")),

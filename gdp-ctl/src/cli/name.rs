@@ -191,7 +191,7 @@ fn with_meta(mut metadata: Metadata, meta: &[String]) -> anyhow::Result<Metadata
     for entry in meta {
         let (key, value) = entry.split_once('=').with_context(|| format!("--meta {entry}: not KEY=VALUE"))?;
         if metadata.insert(key.to_owned(), value.to_owned()).is_some() {
-            bail!("--meta {key} is given twice");
+            bail!("--meta {key}: the key is set already, by an option of its own or an earlier --meta; leave one out");
         }
     }
     Ok(metadata)

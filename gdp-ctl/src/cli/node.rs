@@ -1,11 +1,13 @@
 //! Shared parts of the commands that are nodes of the fabric.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use gdp::unstable::{LinkConfig, SubscribeOptions, Subscription};
+use gdp::unstable::{LinkConfig, Node, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -23,6 +25,10 @@ use gdp::unstable::{called, members};
 use gdp::{FindError, Keyring};
 use gdp_util::folders;
 use gdp_util::unix_time::unix_seconds;
+
+/// The interval between two looks at the clocks of counterparts, and between two lines about one.
+const CLOCKS_LOOK: Duration = Duration::from_secs(1);
+const CLOCKS_AGAIN: Duration = Duration::from_secs(60);
 
 /// Time after which a reader is warned that nobody publishes.
 const TIMEOUT: Duration = Duration::from_secs(3);
@@ -150,10 +156,27 @@ impl NodeOptions {
                 None => "attaching".to_owned(),
             };
             let mut fabric = while_waiting(&attaching, Fabric::join(keyring, identity, links)).await?;
+            let clocks = tokio::spawn(show_clocks(fabric.node.clone()));
             let done = what(&mut fabric).await;
+            clocks.abort();
             fabric.node.close().await;
             done
         })
+    }
+}
+
+/// Names the counterparts whose clocks differ, each once a minute.
+async fn show_clocks(node: Node) {
+    let mut shown = BTreeMap::new();
+    loop {
+        tokio::time::sleep(CLOCKS_LOOK).await;
+        shown.retain(|_, at: &mut Instant| at.elapsed() < CLOCKS_AGAIN);
+        for difference in node.clock_differences() {
+            if let Entry::Vacant(new) = shown.entry(difference.peer) {
+                new.insert(Instant::now());
+                note(format_args!("gdp-ctl: {difference}"));
+            }
+        }
     }
 }
 

@@ -15,6 +15,7 @@ pub fn describe(status: &ProxyReply) -> Vec<String> {
     lines.extend(status.member_until.map(|until| format!("member      until {}", relative(until, unix_seconds()))));
     lines.extend(status.member_error.as_ref().map(|error| format!("member      no longer: {error}")));
     lines.extend(status.directory.as_ref().map(|directory| format!("directory   {}", directory.status)));
+    lines.extend(status.clocks.iter().map(|clock| format!("warning: {clock}")));
     let links = status.links.iter().map(|link| {
         let why = link.reason.clone().unwrap_or_default();
         [link.target.clone(), link.state.to_string(), link.frames_sent.to_string(), why]

@@ -208,5 +208,11 @@ fn describe_warning(warning: &Warning) -> String {
             short(names),
             if *count > names.len() { " …" } else { "" }
         ),
+        Warning::Open => "warning: this switch is of no domain: every endpoint that reaches it gets a link; \
+                          `gdp-ctl up` makes a domain"
+            .into(),
+        Warning::SmallMtu { interface, mtu, needed } => format!(
+            "warning: {interface} has an MTU of {mtu}, and links need {needed}: `ip link set dev {interface} mtu {needed}`"
+        ),
     }
 }

@@ -1,13 +1,15 @@
 //! `status`, `ping` and `trace` with `--switch`, from machines without a daemon, at a chain of
 //! three switches: what an endpoint is shown, and what it is not.
 
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use gdp_core::cert::{RtCert, issue};
 use gdp_core::identity::Identity;
 use gdp_daemon::serve::{Running, start};
 use gdp_link::port::{LinkAddr, Port, PortConfig};
-use gdp_proto::control::{Inspection, Refusal, RefusalCode, Request, Response};
+use gdp_proto::control::{EntityRequest, Inspection, Refusal, RefusalCode, Request, Response};
 use gdp_tests::programs::own;
 use gdp_wire::Name;
 use serde_json::Value;
@@ -110,6 +112,46 @@ async fn an_endpoint_that_asks_too_much_is_refused() {
         }
     }
     assert!(answered >= 60 && limited > 0, "{answered} answered, {limited} refused");
+    switch.stop().await;
+}
+
+/// Who is refused leaves a counter and an event, and the reason in the status.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_refused_registration_is_counted_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path(), "s1");
+    let socket = config.socket.clone();
+    let switch = start(config).await.unwrap();
+    let events = tokio::task::spawn_blocking(move || {
+        let mut stream = std::os::unix::net::UnixStream::connect(socket).unwrap();
+        stream.write_all(b"{\"v\":2,\"op\":\"monitor\"}\n").unwrap();
+        let mut lines = BufReader::new(stream).lines();
+        assert!(lines.next().unwrap().unwrap().contains("monitoring"));
+        lines
+    });
+    let lines = events.await.unwrap();
+    let identity = Identity::generate("proxy").unwrap();
+    let (entity, elsewhere) = (identity.name(), Name::from_bytes([7; 32]));
+    let rt_cert = issue(identity.key(), &RtCert { entity, switch: elsewhere, not_after: u64::MAX }).unwrap();
+    let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::endpoint(identity)).unwrap();
+    let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), None).await.unwrap();
+    let attach = Request::Entity(EntityRequest::Attach { rt_cert, resumes: false, lane: 0 });
+    let response = link.request(&attach).await.unwrap();
+    assert!(
+        matches!(&response, Response::Refused(refusal) if refusal.code == RefusalCode::WrongSwitch),
+        "{response:?}"
+    );
+
+    let status = switch.status().await;
+    assert_eq!(status["refused_total"]["registration"]["WrongSwitch"], 1, "{status}");
+    assert_eq!(status["refused"][0]["peer"], entity.to_string(), "{status}");
+    let event = tokio::task::spawn_blocking(move || {
+        lines.map(|line| line.unwrap()).find(|line| line.contains("registration_refused")).unwrap()
+    });
+    let line: Value = serde_json::from_str(&event.await.unwrap()).unwrap();
+    let event = &line["event"];
+    assert_eq!((&event["entity"], &event["code"]), (&entity.to_string().into(), &"WrongSwitch".into()), "{event}");
+    assert!(event["reason"].as_str().unwrap().contains("wrong switch"), "{event}");
     switch.stop().await;
 }
 

@@ -65,6 +65,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
     let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     std::fs::set_permissions(user.file("open.pem"), open).unwrap();
     std::fs::write(user.file("junk"), "junk").unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(user.file("fifo")).status().unwrap().success());
     let zero = "0".repeat(64);
     let add = ["grant", "add", "chatter.card", "--entity", &zero, "-o", "x"];
     let create = |topic, kind, of| {
@@ -113,9 +114,11 @@ fn what_goes_wrong_is_named_with_its_remedy() {
                 "x",
             ],
             1,
-            &["--meta topic is given twice"],
+            &["--meta topic: the key is set already", "leave one out"],
         ),
         (&["cert", "show", "junk"], 1, &["BEGIN GDP AD CERT"]),
+        (&["cert", "show", "fifo"], 1, &["fifo", "it is a pipe"]),
+        (&["serve", "--config", "fifo"], 1, &["fifo", "it is a pipe"]),
         (&["cert", "show", "chatter.card"], 1, &["chatter.card: it is a name card, not a certificate"]),
         (
             &[&add[..], &["--publish", "--key", "robot.pem"]].concat(),

@@ -17,8 +17,7 @@ mod shared;
 mod thing;
 mod topics;
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::net::SocketAddr;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
@@ -30,7 +29,7 @@ use gdp_core::file_kind::FileKind;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
 use gdp_ros::roster::Dialect;
-use gdp_util::yaml;
+use gdp_util::{text_file, yaml};
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
@@ -260,11 +259,8 @@ impl Config {
             }
             _ => ConfigError::Io { path: path.into(), source },
         };
-        let mut text = String::new();
-        let length = File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
-        if length as u64 > MAX_FILE {
-            return Err(ConfigError::TooLong(path.into()));
-        }
+        let text = text_file::read(path, MAX_FILE).map_err(io)?;
+        let text = text.ok_or_else(|| ConfigError::TooLong(path.into()))?;
         Self::parse(&text, path)
     }
 

@@ -27,6 +27,7 @@ fn stats() -> Stats {
         directory: None,
         calls: vec![],
         links: vec![],
+        clocks: vec![],
         node: NodeCounters::default(),
     }
 }

@@ -39,10 +39,19 @@ async fn what_was_counted_is_known_of_the_routes_that_are_there() {
         counted: Counted { messages, ..Counted::default() },
     };
     let (graphs, types) = (All::new(), Types::load([]).unwrap());
-    diagnostics.tell(&[route("/a", 3), route("/b", 0)], &graphs, &types).await;
-    diagnostics.tell(&[route("/a", 5)], &graphs, &types).await;
+    diagnostics.tell(&[route("/a", 3), route("/b", 0)], &[], &graphs, &types).await;
+    diagnostics.tell(&[route("/a", 5)], &[], &graphs, &types).await;
     let before: Vec<_> = diagnostics.before.into_iter().collect();
     assert_eq!(before, [((entity, "ros2".into(), Side::Out), (5, 0))]);
+}
+
+#[test]
+fn a_clock_that_differs_is_an_error_that_names_the_peer_and_by_how_much() {
+    let (entity, peer) = (Name::from_bytes([7; 32]), Name::from_bytes([8; 32]));
+    let status = of_clock(&ClockDifference { peer, ahead_ms: -3_600_000, refuses: false }, entity);
+    assert_eq!((status.level, status.name), (Level::Error as u8, format!("gdp_proxy: clock of {peer:#}")));
+    assert!(status.message.contains("its clock is 3600 s behind the one here"), "{}", status.message);
+    assert!(status.values.iter().any(|value| value.key == "ahead (ms)" && value.value == "-3600000"));
 }
 
 /// The definitions are among those that the proxy brings.

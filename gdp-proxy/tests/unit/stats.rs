@@ -14,7 +14,7 @@ use crate::tally::Reason;
 
 /// Of version 5.
 const KEYS: [&str; 10] = [
-    "calls catalogs directory entity links member_error member_until node switch topics version",
+    "calls catalogs clocks directory entity links member_error member_until node switch topics version",
     "bytes bytes_carried certificate_until direct direction drops fabric graph latency_us messages name status topic type \
      waiting_for",
     "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable \
@@ -101,6 +101,7 @@ fn the_keys_are_those_of_the_version() {
         catalogs: vec![],
         calls,
         links,
+        clocks: vec![],
         node,
     };
     let shown = serde_json::to_value(stats).unwrap();
@@ -156,6 +157,7 @@ fn the_file_is_whole_and_says_what_happened() {
             directory: None,
             calls: Vec::new(),
             links: Vec::new(),
+            clocks: Vec::new(),
             node: NodeCounters::default(),
         })
         .unwrap();

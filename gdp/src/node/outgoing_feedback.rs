@@ -27,7 +27,11 @@ impl OutgoingFeedback {
 
     /// Passes all messages to `send`, as many in one call as fit a frame.
     pub fn flush(&mut self, mut send: impl FnMut(&Name, &[Feedback])) {
-        for (writer, feedback) in std::mem::take(&mut self.0) {
+        for (writer, mut feedback) in std::mem::take(&mut self.0) {
+            feedback.extract_if(.., |message| message.travels_alone()).for_each(|message| send(&writer, &[message]));
+            if feedback.is_empty() {
+                continue;
+            }
             let (mut begin, mut bytes) = (0, 0);
             for (index, message) in feedback.iter().enumerate() {
                 let length = message.encoded_len();

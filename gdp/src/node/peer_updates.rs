@@ -118,6 +118,7 @@ impl State {
                 Effect::Change(change) => changes.push(change),
                 Effect::Introduce(writer, box_key) => self.send_path.pairs.introduce(writer, box_key),
                 Effect::Part(writer) => self.send_path.pairs.part(&writer),
+                Effect::Tell(writer, feedback) => self.send_path.tell(&writer, &[feedback]),
             }
         }
         if !changes.is_empty() {

@@ -195,6 +195,14 @@ impl Publication {
         Some(Feedback::Welcome { name, challenge, session, sequence, history: self.history })
     }
 
+    /// Returns the answer to a reader's question for the time of this writer, if it is a reader and
+    /// the question is about the current session.
+    pub fn clock_answer(&self, reader: &Name, session: [u8; 16], challenge: [u8; 16]) -> Option<Feedback> {
+        let is_reader = self.readers.lock().known.contains_key(reader);
+        let (name, unix_ns) = (self.name, self.scheduler.stamp());
+        (is_reader && session == self.sealer.session).then_some(Feedback::ClockAnswer { name, challenge, unix_ns })
+    }
+
     /// Processes the return of a detached reader. If the reader has restarted, it receives messages
     /// from now on, also those sent before its Hello.
     pub fn returned(&self, reader: &Name) {

@@ -11,6 +11,7 @@ use gdp_core::cert::{Revocation, Signed};
 use gdp_core::crypto::PUBLIC_KEY_LEN;
 use gdp_core::identity::Identity;
 use gdp_core::keys::KeyBox;
+use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::{KeyStore, MAX_WRITERS, StoreError};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
@@ -35,7 +36,13 @@ pub struct Reading {
     revocation: Option<Revocation>,
     /// Key boxes with the writer that each names.
     early: VecDeque<(Name, Signed<KeyBox>)>,
+    /// Writers whose latest box has a lower epoch than the newest one here, and how often they are
+    /// still told.
+    behind: HashMap<Name, u32>,
 }
+
+/// How often a writer is told that its epochs are behind: at once, and every few seconds.
+const TELLINGS: u32 = 5;
 
 /// An effect on the node.
 #[derive(Debug)]
@@ -46,6 +53,8 @@ pub enum Effect {
     Introduce(Name, [u8; PUBLIC_KEY_LEN]),
     /// The node no longer shares a pair key with this writer.
     Part(Name),
+    /// Feedback for this writer.
+    Tell(Name, Feedback),
 }
 
 impl Reading {
@@ -57,6 +66,7 @@ impl Reading {
             writers: HashMap::new(),
             revocation: None,
             early: VecDeque::new(),
+            behind: HashMap::new(),
         }
     }
 
@@ -99,6 +109,7 @@ impl Reading {
         ended.iter().for_each(|writer| effects.extend(self.forget(writer)));
         let over = self.keys.expire(now).into_iter();
         effects.extend(over.map(|(writer, epoch)| Effect::Change(Change::DropKey { writer, epoch })));
+        self.tell_behind(&mut effects);
         effects
     }
 
@@ -108,6 +119,7 @@ impl Reading {
             return Vec::new();
         }
         self.keys.forget(writer);
+        self.behind.remove(writer);
         vec![Effect::Change(Change::Revoke { writer: *writer }), Effect::Part(*writer)]
     }
 
@@ -137,6 +149,17 @@ impl Reading {
         }
     }
 
+    /// Shows writers whose epochs are behind the newest box that is held of them.
+    fn tell_behind(&mut self, effects: &mut Vec<Effect>) {
+        let Self { name, keys, behind, .. } = self;
+        behind.retain(|writer, left| {
+            *left -= 1;
+            let held = keys.newest(writer).map(|key_box| Feedback::NewestKey { name: *name, key_box: key_box.clone() });
+            effects.extend(held.map(|held| Effect::Tell(*writer, held)));
+            *left > 0
+        });
+    }
+
     /// Opens a key box, or queues it if its writer is not known yet.
     fn try_open(&mut self, now: u64, signed: Signed<KeyBox>, effects: &mut Vec<Effect>) -> Result<(), StoreError> {
         let writer = signed.claims_unverified()?.writer;
@@ -147,8 +170,20 @@ impl Reading {
             self.early.push_back((writer, signed));
             return Ok(());
         };
-        let opened = self.keys.take(now, writer, &known.key, &signed)?;
+        let opened = self.keys.take(now, writer, &known.key, &signed);
+        if let Err(StoreError::Over { .. }) = opened {
+            // The writer may have restarted with a clock that was set back.
+            self.behind.entry(writer).or_insert(TELLINGS);
+        }
+        let opened = opened?;
+        if opened.as_ref().is_some_and(|opened| Some(opened.epoch) == self.keys.newest_epoch(&writer)) {
+            self.behind.remove(&writer);
+        }
         effects.extend(opened.map(|opened| Effect::Change(Change::Key { writer, opened })));
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/node/reading.rs"]
+mod tests;

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use gdp_wire::{Counter, FrameType, Header, Name, forward};
 use zerocopy::FromBytes;
 
+use super::clock_check::ahead;
 use super::command::Command;
 use super::counters::Counters;
 use super::early_frames::EarlyFrames;
@@ -328,6 +329,28 @@ impl Subscriptions {
             Feedback::Report { .. } | Feedback::Nack { .. } => {
                 if let Some(publication) = self.send_path.publications.get(&name) {
                     self.send_path.scheduler.feedback(now, publication.topic(), source, feedback);
+                }
+            }
+            Feedback::Clock { session, challenge, unix_ns, .. } => {
+                let publication = self.send_path.publications.get(&name);
+                let answer = publication.and_then(|it| it.clock_answer(&source, *session, *challenge));
+                if let Some(answer) = answer {
+                    self.outgoing.push(&source, answer);
+                    let ahead = ahead(*unix_ns, self.send_path.scheduler.stamp());
+                    self.send_path.clocks.record(Instant::now(), source, ahead, true);
+                }
+            }
+            Feedback::ClockAnswer { challenge, unix_ns, .. } => {
+                let Some(receiver) = self.receivers.get_mut(&name) else { return };
+                if let Some(ahead) = receiver.clock_answer(now, &source, challenge, *unix_ns) {
+                    self.send_path.clocks.record(Instant::now(), source, ahead, false);
+                }
+                self.schedule(&name);
+            }
+            Feedback::NewestKey { key_box, .. } => {
+                let publication = self.send_path.publications.get(&name);
+                if publication.is_some_and(|it| it.sealer.take_newest(&source, key_box)) {
+                    self.send_path.upkeep.notify_one();
                 }
             }
             Feedback::Welcome { .. } | Feedback::Unavailable { .. } => {

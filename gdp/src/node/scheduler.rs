@@ -14,12 +14,15 @@ use parking_lot::{Condvar, MappedMutexGuard, Mutex, MutexGuard};
 use super::clock::Clock;
 use super::links::Links;
 use super::message_batch::Turns;
+use super::stamps::Stamps;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::transport::{Output, TopicId, Transmit, Uplink, UplinkOptions};
 use gdp_link::port::BATCH;
+use gdp_util::unix_time::unix_nanos;
 
 pub struct Scheduler {
     pub clock: Clock,
+    stamps: Stamps,
     /// Turns to sign small messages.
     pub turns: Turns,
     links: Arc<Links>,
@@ -74,7 +77,13 @@ impl Scheduler {
             batching: BTreeSet::new(),
         };
         let (turns, has_doubled) = (Turns::default(), AtomicBool::new(false));
-        Self { clock, turns, links, queues: Mutex::new(queues), turn: Condvar::new(), has_doubled }
+        let stamps = Stamps::default();
+        Self { clock, stamps, turns, links, queues: Mutex::new(queues), turn: Condvar::new(), has_doubled }
+    }
+
+    /// Returns the time to sign into messages, in Unix nanoseconds.
+    pub fn stamp(&self) -> u64 {
+        self.stamps.next(self.clock.now(), unix_nanos())
     }
 
     /// Returns the queues of all topics, locked. No other lock is taken under this lock.

@@ -14,8 +14,10 @@ use super::latched::LatchedSamples;
 use super::message_batch::{BATCH_WINDOW, MessageBatch};
 use super::options::{PublishOptions, Reliability};
 use super::scheduler::Scheduler;
+use gdp_core::cert::Signed;
 use gdp_core::crypto::{Backend, PUBLIC_KEY_LEN};
 use gdp_core::identity::Identity;
+use gdp_core::keys::KeyBox;
 use gdp_e2e::keys::{Boxes, KeyRing, Omission, RingError};
 use gdp_e2e::seal::{Draft, Encoding, SealError, Segments, Writer};
 use gdp_e2e::transport::{Full, Sealed, TopicId};
@@ -156,7 +158,7 @@ impl Sealer {
             return Ok(None);
         }
         let first = sealing.writer.next_sequence();
-        sealing.seal(now, drafts, self.scheduler.max_payload_of(self.topic))?;
+        sealing.seal(&self.scheduler, drafts, self.scheduler.max_payload_of(self.topic))?;
         begun.take().into_iter().for_each(|begun| begun(first));
         self.push_pending(sealing).map(taken(first))
     }
@@ -173,8 +175,7 @@ impl Sealer {
             return Ok(Pushed::Taken);
         }
         let mut batch = std::mem::replace(&mut sealing.batch, MessageBatch::new(None));
-        let sealed =
-            sealing.seal(self.scheduler.clock.now(), &batch.drafts(), self.scheduler.max_payload_of(self.topic));
+        let sealed = sealing.seal(&self.scheduler, &batch.drafts(), self.scheduler.max_payload_of(self.topic));
         batch.clear();
         sealing.batch = batch;
         sealed?;
@@ -198,7 +199,7 @@ impl Sealer {
             sealing.take_key()?;
             let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
             let Some(draft) = latched.next_again() else { return Ok(Pushed::Taken) };
-            writer.seal_batch(unix_nanos(), &[draft], self.scheduler.max_payload_of(self.topic), segments)?;
+            writer.seal_batch(self.scheduler.stamp(), &[draft], self.scheduler.max_payload_of(self.topic), segments)?;
             ring.used(1, segments.total_bytes() as u64);
             *pending = Sealed::new(std::mem::take(segments));
         }
@@ -272,7 +273,7 @@ impl Sealer {
         let sealing = &mut *self.sealing.lock();
         sealing.take_key()?;
         let Sealing { writer, segments, .. } = sealing;
-        writer.heartbeat(unix_nanos(), next, oldest, segments)?;
+        writer.heartbeat(self.scheduler.stamp(), next, oldest, segments)?;
         out.clear();
         segments.iter().for_each(|payload| out.extend_from_slice(payload));
         segments.clear();
@@ -295,6 +296,17 @@ impl Sealer {
     /// Sets the readers that keys are wrapped for. Returns those that cannot receive keys.
     pub fn set_readers(&self, readers: &[(Name, [u8; PUBLIC_KEY_LEN])]) -> Vec<(Name, Omission)> {
         self.sealing.lock().ring.set_readers(readers)
+    }
+
+    /// Processes the newest key box that a reader holds of this writer. Returns whether an epoch is
+    /// to follow that one.
+    pub fn take_newest(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
+        let follows = self.sealing.lock().ring.take_newest(reader, key_box);
+        if follows {
+            tracing::warn!(name = %self.name, "an earlier run used later epochs, so the clock has been set back; going on \
+                                             after those");
+        }
+        follows
     }
 
     /// Returns the next key boxes to store with the RIB, if any.
@@ -368,14 +380,14 @@ impl Sealer {
 
 impl Sealing {
     /// Seals the next messages.
-    fn seal(&mut self, now: u64, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
+    fn seal(&mut self, scheduler: &Scheduler, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
         self.take_key()?;
         let Self { writer, ring, segments, latched, pending, sealed_at, .. } = self;
-        let (first, timestamp_ns) = (writer.next_sequence(), unix_nanos());
+        let (first, timestamp_ns) = (writer.next_sequence(), scheduler.stamp());
         writer.seal_batch(timestamp_ns, drafts, max_payload, segments)?;
         ring.used(drafts.len() as u64, segments.total_bytes() as u64);
         latched.keep(first, timestamp_ns, drafts);
-        (*pending, *sealed_at) = (Sealed::new(std::mem::take(segments)), now);
+        (*pending, *sealed_at) = (Sealed::new(std::mem::take(segments)), scheduler.clock.now());
         Ok(())
     }
 

@@ -16,6 +16,7 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 use super::clock::Clock;
+use super::clock_differences::ClockDifferences;
 use super::config::LinkConfig;
 use super::counters::Counters;
 use super::error::NodeError;
@@ -45,6 +46,8 @@ pub struct SendPath {
     pub publications: Publications,
     /// The pair keys for feedback to single counterparts.
     pub pairs: Arc<Pairs>,
+    /// The counterparts whose clocks differ.
+    pub clocks: ClockDifferences,
     /// Notified when there may be key boxes for the RIB, or latched messages for a reader.
     pub upkeep: Notify,
     /// The sending thread waits for this lock; publishers only try it.
@@ -61,6 +64,7 @@ impl SendPath {
             scheduler,
             publications: Publications::default(),
             pairs: Arc::new(Pairs::new(identity.clone())),
+            clocks: ClockDifferences::default(),
             upkeep: Notify::new(),
             sender: Mutex::new(Sender::new(links.clone())),
             links,

@@ -10,6 +10,7 @@ use std::sync::atomic::Ordering;
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
+use super::clock_check::ClockCheck;
 use super::counters::Counters;
 use super::greeting::Greeting;
 use super::options::SubscribeOptions;
@@ -21,6 +22,7 @@ use gdp_e2e::feedback_wire::{Feedback, Wants};
 use gdp_e2e::keys::Opened;
 use gdp_e2e::seal::{DropReason, Message, Reader, Received, Timestamps, segment_ids};
 use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Segment};
+use gdp_util::unix_time::unix_nanos;
 
 /// A change of a reader's writers and keys.
 #[derive(Debug)]
@@ -75,6 +77,7 @@ pub struct SubscriptionReceiver {
 #[derive(Default)]
 struct KnownWriter {
     greeting: Greeting,
+    clock: ClockCheck,
     session: Option<WriterSession>,
 }
 
@@ -189,6 +192,12 @@ impl SubscriptionReceiver {
         }
     }
 
+    /// Processes a writer's answer with its Unix time. Returns the nanoseconds by which its clock
+    /// is ahead of this one, if this reader has asked for it.
+    pub fn clock_answer(&mut self, now: u64, writer: &Name, challenge: &[u8; 16], unix_ns: u64) -> Option<i64> {
+        self.writers.get_mut(writer)?.clock.answered(now, challenge, unix_nanos(), unix_ns)
+    }
+
     /// Processes a frame's payload from a known writer. `marked`: the frame met congestion. The
     /// mark counts if the frame turns out to be of the writer's session.
     pub fn push(
@@ -225,6 +234,11 @@ impl SubscriptionReceiver {
             verdict = Verdict::Early(reason, times);
         }
         let received = &mut self.received;
+        if received.too_old
+            && let Err(error) = writer.clock.too_old(steady)
+        {
+            tracing::warn!(%error, "a writer could not be asked for its time");
+        }
         let Some(WriterSession { id, inbound, .. }) = &mut writer.session else {
             received.clear();
             return verdict;
@@ -275,6 +289,10 @@ impl SubscriptionReceiver {
                 tell(writer, Feedback::Hello { name: *name, challenge, wants: out.options.wants });
             }
             let Some(session) = &mut known.session else { continue };
+            if let Some(challenge) = known.clock.poll(now) {
+                let (name, session, unix_ns) = (*name, session.id, unix_nanos());
+                tell(writer, Feedback::Clock { name, session, challenge, unix_ns });
+            }
             while let Some(arrival) = session.inbound.poll(now) {
                 match arrival {
                     Arrival::Message(mut message) => {
@@ -314,7 +332,8 @@ impl SubscriptionReceiver {
     pub fn next_wake(&self) -> Option<u64> {
         let of = |known: &KnownWriter| {
             let inbound = known.session.as_ref().and_then(|session| session.inbound.next_wake());
-            [known.greeting.next_wake(), inbound].into_iter().flatten().min()
+            let clock = known.session.as_ref().and_then(|_| known.clock.next_wake());
+            [known.greeting.next_wake(), clock, inbound].into_iter().flatten().min()
         };
         let deadline = self.reader.next_deadline().map(|deadline| deadline.saturating_add(1));
         self.writers.values().filter_map(of).chain(deadline).min()

@@ -108,6 +108,33 @@ fn without_xdp_the_kernel_has_no_program_and_the_log_says_so_once() -> Result<()
     Ok(())
 }
 
+/// The first interface has links on Ethernet, the second one links over UDP.
+#[test]
+fn an_mtu_that_is_too_small_is_named_with_what_is_needed() -> Result<()> {
+    let site = Site::build()?;
+    let mut daemon = site.serve(&["--interface", "e1"])?;
+    let log = daemon.process.stderr();
+    ensure!(log.contains("this switch is of no domain: every endpoint that reaches it gets a link"), "{log}");
+    for interface in ["e1", "e0"] {
+        site.host.ip(&["link", "set", interface, "mtu", "600"])?;
+        let small = site.wait_for_warning(&mut daemon, |warning| warning["interface"] == interface)?;
+        let needed = small["needed"].as_u64().context("what is needed")?;
+        ensure!(small["mtu"] == 600 && (1200..1280).contains(&needed), "{small}");
+        let line = format!("the MTU of {interface} is too small for links: `ip link set dev {interface} mtu {needed}`");
+        let log = daemon.process.stderr();
+        ensure!(log.contains(&line), "{log}");
+        site.host.ip(&["link", "set", interface, "mtu", &needed.to_string()])?;
+        daemon.process.wait_until("an MTU that is not too small", TIMEOUT, |process| {
+            process.stderr().contains("no longer too small").then_some(())
+        })?;
+        site.wait_for_warning(&mut daemon, |warning| warning["kind"] == "open")?;
+    }
+    let log = daemon.process.stderr();
+    ensure!(log.contains("the MTU of the interface has changed from 1500 to 600; its links end"), "{log}");
+    ensure!(log.matches("is too small for links").count() == 2, "{log}");
+    daemon.stop()
+}
+
 #[test]
 fn of_roots_capabilities_it_keeps_four_and_they_suffice_for_all_that_comes() -> Result<()> {
     let site = Site::build()?;
@@ -259,6 +286,16 @@ impl Site {
         let mut command = self.beyond.command(self.tools.gdp_ctl()?)?;
         command.args(["serve", "--config"]).arg(file);
         Process::spawn("neighbour", command, self.files.path())
+    }
+
+    /// Waits until the status has a warning, and returns it.
+    fn wait_for_warning(&self, daemon: &mut Daemon, is_it: impl Fn(&Value) -> bool) -> Result<Value> {
+        daemon.process.wait_until("a warning", TIMEOUT, |_| {
+            let mut status = own(self.tools.gdp_ctl().ok()?);
+            let output = status.arg("--socket").arg(self.file("socket")).args(["status", "-j"]).output().ok()?;
+            let status = serde_json::from_slice::<Value>(&output.stdout).ok()?;
+            status["warnings"].as_array()?.iter().find(|warning| is_it(warning)).cloned()
+        })
     }
 
     /// Waits until there is a link on which the kernel sends.

@@ -49,6 +49,8 @@ pub enum CertError {
     WrongOperation { expected: &'static str, got: AdvertOp },
     #[error("wrong domain: {got} where {expected} is expected; use the certificate of that one")]
     WrongDomain { expected: Name, got: Name },
+    #[error("not a domain: {name} is the name of a {kind}, which has no members; name the domain by its card")]
+    NotADomain { name: Name, kind: &'static str },
     #[error("wrong role: the member certificate gives role {got}, where {expected} is asked for")]
     WrongRole { expected: String, got: String },
     #[error(

@@ -1,5 +1,6 @@
 //! Membership of an entity in a domain, with its evidence: verification, renewal and text form.
 
+use super::block::decode_block;
 use super::domain::check_not_revoked;
 use super::pem::Blocks;
 use super::{BACKDATED, Claims, Invite, MemberCert, MembershipRenewal, RenewalDelegation, Revocation, Signed, issue};
@@ -47,6 +48,9 @@ impl Membership {
     /// Verifies the signatures as [`Self::verify`] does, regardless of time and revocations.
     pub fn verify_signatures(&self, domain: Name) -> Result<MemberCert, CertError> {
         expect_domain(domain, self.domain.name()?)?;
+        if let Some(kind) = self.domain.kind_but_domain() {
+            return Err(CertError::NotADomain { name: domain, kind });
+        }
         let base = match &self.invite {
             Some(invite) => self.verify_invited(invite, domain)?,
             None => self.cert.verify_for_name(&self.domain)?,
@@ -157,8 +161,7 @@ impl Membership {
         let cert = Signed::from_pem(blocks.take(MemberCert::LABEL)?)?;
         let invite = blocks.take_if(Invite::LABEL).map(Signed::from_pem).transpose()?;
         let renewal = MembershipRenewal::from_blocks(blocks)?;
-        let (_, proof) = pem::decode_vec(blocks.take(PROOF_LABEL)?.as_bytes())
-            .map_err(|error| CertError::Malformed(format!("{PROOF_LABEL}: {error}")))?;
+        let proof = decode_block(PROOF_LABEL, blocks.take(PROOF_LABEL)?)?;
         Ok(Self { cert, invite, renewal, domain: cbor::decode(&proof, MAX_PROOF)? })
     }
 

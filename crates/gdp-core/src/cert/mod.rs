@@ -12,6 +12,7 @@
 
 mod advert_op;
 mod allow;
+mod block;
 mod claims;
 pub mod domain;
 pub mod enrollment;

@@ -1,6 +1,7 @@
 //! Parser of text with several blocks of RFC 7468. The callers decode the content of the blocks.
 
 use super::MAX_SIGNED;
+use super::block::wrong_label;
 use crate::cert::error::CertError;
 use std::collections::VecDeque;
 
@@ -52,9 +53,8 @@ impl<'t> Blocks<'t> {
 
     /// Removes and returns the next block, which must have this label.
     pub fn take(&mut self, label: &str) -> Result<&'t str, CertError> {
-        let found = self.0.front().map_or_else(|| "nothing".into(), |(found, _)| format!("\"BEGIN {found}\""));
-        let wrong = || CertError::Malformed(format!("expected \"BEGIN {label}\", found {found}"));
-        self.take_if(label).ok_or_else(wrong)
+        let found = self.0.front().map(|(found, _)| *found);
+        self.take_if(label).ok_or_else(|| wrong_label(label, found))
     }
 
     /// Removes and returns the next block, if it has this label.

@@ -1,5 +1,6 @@
 //! Exact bytes of a certificate, and their verification.
 
+use super::block::decode_block;
 use super::{Claims, extension};
 use crate::cbor;
 use crate::cert::error::CertError;
@@ -8,7 +9,8 @@ use crate::identity::SigningKey;
 use crate::name::NameProof;
 use crate::verify_key::VerifyKey;
 use coset::{CoseSign1, CoseSign1Builder, HeaderBuilder, TaggedCborSerializable, iana};
-use p256::pkcs8::{LineEnding, der::pem};
+use p256::pkcs8::LineEnding;
+use p256::pkcs8::der::pem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::fmt;
 use std::marker::PhantomData;
@@ -92,10 +94,17 @@ impl<T: Claims> Signed<T> {
         Ok(self.parse()?.1)
     }
 
+    /// Returns the bytes of the unverified payload, which are the same under every signature.
+    pub fn payload_unverified(&self) -> Result<Vec<u8>, CertError> {
+        Ok(self.parse()?.0.payload.unwrap_or_default())
+    }
+
     /// Parses the bytes. Accepts only the encoding that [`issue`] produces, and unknown fields that
     /// are not critical.
     fn parse(&self) -> Result<(CoseSign1, T), CertError> {
-        let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
+        let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(|_| {
+            CertError::Malformed("not the bytes of a signed statement (COSE_Sign1); copy the whole file again".into())
+        })?;
         let header = &cose.protected.header;
         let expected = Some(coset::ContentType::Text(T::CONTEXT.into()));
         if header.content_type != expected {
@@ -132,12 +141,7 @@ impl<T: Claims> Signed<T> {
         if text.len() > 2 * MAX_SIGNED {
             return Err(CertError::Malformed(format!("{} characters of text are too many", text.len())));
         }
-        let (found, bytes) = pem::decode_vec(text.trim_ascii_start().as_bytes()).map_err(malformed)?;
-        let expected = T::LABEL;
-        if found != expected {
-            return Err(CertError::Malformed(format!("expected \"BEGIN {expected}\", found \"BEGIN {found}\"")));
-        }
-        let signed = Self::from_bytes(bytes)?;
+        let signed = Self::from_bytes(decode_block(T::LABEL, text)?)?;
         signed.parse()?;
         Ok(signed)
     }

@@ -1,8 +1,9 @@
 //! Files that hold an entity's [`Credentials`].
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
+
+use gdp_util::text_file;
 
 use super::Credentials;
 use crate::card::{CardError, NameCard};
@@ -14,6 +15,8 @@ pub enum PaperFileError {
     Card(#[from] CardError),
     #[error("{}: cannot be read: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
+    #[error("{}: not the card of a domain; name the file domain.card of the domain", .0.display())]
+    NotADomain(PathBuf),
     #[error("{}: {source}", path.display())]
     Cert { path: PathBuf, source: CertError },
 }
@@ -31,7 +34,11 @@ pub struct CredentialFiles {
 impl CredentialFiles {
     /// Reads the files. Checks that they belong together, but not that they are valid.
     pub fn load(&self) -> Result<Credentials, PaperFileError> {
-        let domain = NameCard::load(&self.card)?.proof();
+        let card = NameCard::load(&self.card)?;
+        if !card.is_domain() {
+            return Err(PaperFileError::NotADomain(self.card.clone()));
+        }
+        let domain = card.proof();
         let membership = read(&self.membership, Membership::from_pem)?;
         if membership.domain != domain {
             let wrong = |source| PaperFileError::Cert { path: self.membership.clone(), source };
@@ -53,7 +60,8 @@ impl CredentialFiles {
 
 fn read<T>(path: &Path, parse: impl Fn(&str) -> Result<T, CertError>) -> Result<T, PaperFileError> {
     let io = |source| PaperFileError::Io { path: path.into(), source };
-    let mut text = String::new();
-    File::open(path).map_err(io)?.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(io)?;
-    parse(&text).map_err(|source| PaperFileError::Cert { path: path.into(), source })
+    let cert = |source| PaperFileError::Cert { path: path.into(), source };
+    let text = text_file::read(path, MAX_CERT_FILE as u64).map_err(io)?;
+    let too_long = || cert(CertError::Malformed(format!("longer than {MAX_CERT_FILE} bytes")));
+    parse(&text.ok_or_else(too_long)?).map_err(cert)
 }

@@ -41,6 +41,15 @@ fn other_encodings_of_the_same_value_are_refused() {
 }
 
 #[test]
+fn an_error_is_in_words() {
+    let reason = |bytes: &[u8]| decode::<Vec<u8>>(bytes, 100).unwrap_err().to_string();
+    for (bytes, expected) in [(&[][..], "too early"), (b"\xfe", "byte 0"), (b"\x61a", "expected"), (&[0x81; 99], "")] {
+        let error = reason(bytes);
+        assert!(error.contains(expected) && !error.contains('('), "{error}");
+    }
+}
+
+#[test]
 fn people_read_hex() {
     assert_eq!(serde_json::to_string(&SAMPLE).unwrap(), r#"{"zebra":500,"a":1,"mid":"010203"}"#);
     assert_eq!(serde_json::from_str::<Sample>(r#"{"zebra":500,"a":1,"mid":"010203"}"#).unwrap(), SAMPLE);

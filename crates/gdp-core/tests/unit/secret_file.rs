@@ -48,6 +48,26 @@ fn wider_modes_are_refused_with_the_remedy() {
 }
 
 #[test]
+fn a_file_of_another_user_is_refused() {
+    let own = folders::user();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("secret");
+    let another = own + 1;
+    assert!(check_owner(&path, own).is_ok() && check_owner(&path, 0).is_ok());
+    let error = check_owner(&path, another).unwrap_err();
+    assert!(matches!(error, SecretFileError::OfAnother { owner, .. } if owner == another));
+    assert!(error.to_string().contains(&format!("chown {own} {}", path.display())), "{error}");
+    if own != 0 {
+        return;
+    }
+    create(&path, b"x").unwrap();
+    std::os::unix::fs::chown(&path, Some(another), None).unwrap();
+    assert!(matches!(read(&path, 1), Err(SecretFileError::OfAnother { .. })));
+    std::os::unix::fs::chown(dir.path(), Some(another), None).unwrap();
+    assert_eq!(read(&path, 1).unwrap().as_slice(), b"x", "root wrote it for the user of the folder");
+}
+
+#[test]
 fn only_regular_files_of_sensible_size_are_read() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("secret");

@@ -6,12 +6,12 @@ use std::time::Instant;
 use gdp_core::name::NameProof;
 use gdp_link::link::Link;
 use gdp_proto::admin::words::RefusedThing;
-use gdp_proto::control::{EntityRequest, Response};
+use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Response};
 
 use super::core::follow_up::FollowUp;
 use super::daemon::Daemon;
-use super::domain;
 use super::events::Event;
+use super::{domain, recent_refusals};
 
 /// The path by which a request arrived.
 #[derive(Clone, Copy)]
@@ -45,9 +45,7 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
     });
     let response = taken_in.await;
     if let (Some(link), Response::Refused(refusal), true) = (link, &response, registers) {
-        let refusals = &mut daemon.core().switch.recent_refusals;
-        let code = Some(refusal.code);
-        refusals.add(link.peer().name, RefusedThing::Registration, code, &refusal.reason, Instant::now());
+        refused(daemon, link, refusal);
     }
     if let (Some(link), Response::Attached { .. }) = (attaching, &response) {
         let mut core = daemon.core();
@@ -55,4 +53,23 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
         core.events.tell(Event::Attached { entity: link.peer().name });
     }
     response
+}
+
+/// Counts a refusal. Tells it to listeners and the log, unless it is for want of the RIB.
+fn refused(daemon: &Daemon, link: &Link, refusal: &Refusal) {
+    let (entity, code, reason, now) = (link.peer().name, refusal.code, &refusal.reason, Instant::now());
+    let is_lasting = !matches!(code, RefusalCode::Unreachable | RefusalCode::NotAttached);
+    let is_new = {
+        let core = &mut *daemon.core();
+        if is_lasting {
+            core.events.tell(Event::RegistrationRefused { entity, code, reason: reason.clone() });
+        }
+        core.switch.recent_refusals.add(entity, RefusedThing::Registration, Some(code), reason, now)
+    };
+    if is_lasting
+        && is_new
+        && let Some(suppressed) = recent_refusals::LINES.take(now)
+    {
+        tracing::warn!(entity = %format_args!("{entity:#}"), ?code, %reason, suppressed, "refused a registration");
+    }
 }

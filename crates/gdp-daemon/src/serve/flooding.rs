@@ -8,11 +8,10 @@ use std::sync::Arc;
 use gdp_link::link::Link;
 use gdp_proto::control::{Flooded, Refusal, RefusalCode, Request, Response};
 use gdp_wire::LinkRole;
-use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
+use super::costs;
 use super::daemon::Daemon;
-use super::{costs, interfaces};
 use gdp_rib::topology::{Batch, Verified};
 
 /// Keeps the topology up to date until the daemon ends.
@@ -96,20 +95,4 @@ pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
     }
     daemon.topology_changed();
     Response::Done
-}
-
-/// Tracks the interfaces without carrier until the daemon ends.
-pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>) {
-    loop {
-        match interfaces::without_carrier().await {
-            Ok(interfaces) => {
-                let changed = daemon.core().switch.set_no_carrier(interfaces);
-                if changed {
-                    daemon.topology_changed();
-                }
-            }
-            Err(error) => tracing::warn!(%error, "cannot ask the kernel which interfaces have a carrier"),
-        }
-        interfaces::look(&mut changes).await;
-    }
 }

@@ -1,7 +1,7 @@
 //! Reads interfaces, addresses and resolved neighbour entries from the kernel over netlink, and
 //! reports changes. Sets nothing.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
@@ -56,17 +56,41 @@ pub fn changes() -> std::io::Result<impl Stream<Item = ()> + Unpin> {
     Ok(messages.map(move |_| drop(handle.clone())))
 }
 
-/// Returns the indices of the interfaces that are down or without carrier.
-pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
+/// What may keep an interface from carrying links.
+#[derive(Clone, Debug)]
+pub struct InterfaceState {
+    pub name: String,
+    pub index: u32,
+    pub has_carrier: bool,
+    pub mtu: u32,
+}
+
+/// An interface whose MTU is too small, in bytes, and the MTU that it needs at least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SmallMtu {
+    pub mtu: u32,
+    pub needed: u32,
+}
+
+/// Returns the state of all interfaces. Interfaces that are down have no carrier.
+pub async fn states() -> Result<Vec<InterfaceState>, rtnetlink::Error> {
     let (connection, handle, _) =
         rtnetlink::new_connection().map_err(|error| rtnetlink::Error::NamespaceError(error.to_string()))?;
     let task = tokio::spawn(connection);
     let working = LinkFlags::Up | LinkFlags::LowerUp;
-    let dark =
-        handle.link().get().execute().try_filter_map(async |message| {
-            Ok((!message.header.flags.contains(working)).then_some(message.header.index))
-        });
-    let result = dark.try_collect().await;
+    let states = handle.link().get().execute().map_ok(|message| {
+        let (index, has_carrier) = (message.header.index, message.header.flags.contains(working));
+        let mut state = InterfaceState { name: String::new(), index, has_carrier, mtu: 0 };
+        for attribute in message.attributes {
+            match attribute {
+                LinkAttribute::IfName(name) => state.name = name,
+                LinkAttribute::Mtu(mtu) => state.mtu = mtu,
+                _ => {}
+            }
+        }
+        state
+    });
+    let result = states.try_collect().await;
     task.abort();
     result
 }

@@ -122,10 +122,10 @@ fn exposition(status: &StatusReply, peers: &PeersReply) -> Exposition {
         domain.not_after.iter().for_each(|until| all.add(&MEMBERSHIP_EXPIRY, [], *until));
         all.add(&INVITATIONS, [], domain.invitations_used as u64);
     }
-    let is_silent = |warning: &&Warning| matches!(warning, Warning::Silent { .. });
-    let silent = status.warnings.iter().filter(is_silent).count();
-    all.add(&WARNINGS, ["silent"], silent as u64);
-    all.add(&WARNINGS, ["not_served"], (status.warnings.len() - silent) as u64);
+    for kind in Warning::KINDS {
+        let count = status.warnings.iter().filter(|warning| warning.kind() == kind).count();
+        all.add(&WARNINGS, [kind], count as u64);
+    }
     all.add(&ERRORS, [], status.errors.len() as u64);
     all
 }

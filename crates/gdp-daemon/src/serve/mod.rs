@@ -22,6 +22,7 @@ mod fence;
 mod flooding;
 mod graceful_restart;
 mod inspection;
+mod interface_watch;
 pub mod interfaces;
 mod links;
 mod liveness;
@@ -39,6 +40,7 @@ mod revocation_store;
 mod routes;
 mod start_error;
 mod status;
+mod suspicion;
 mod term;
 mod trace;
 mod warnings;
@@ -167,6 +169,15 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         if port.is_some() { &mut ready.ethernet } else { &mut ready.awaited }.push(name.clone());
     }
     ready.look_at(&daemon.core().switch.planes);
+    let is_reached = !interfaces.is_empty() || udp_addr.is_some_and(|addr| !addr.ip().is_loopback());
+    if config.domain.is_none() && is_reached {
+        daemon.core().membership.is_open = true;
+        tracing::warn!(
+            "this switch is of no domain: every endpoint that reaches it gets a link, and can publish names of its \
+             own; `gdp-ctl up` makes a domain, and `domain:` in the configuration joins one"
+        );
+    }
+    let named = interfaces.clone();
     for (name, port) in interfaces.into_iter().zip(opened) {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
@@ -182,10 +193,11 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     if let Some(listener) = metrics {
         metrics::serve(&daemon, listener);
     }
+    daemon.spawn(suspicion::run(daemon.clone()));
     daemon.spawn(report::report(daemon.clone()));
     daemon.spawn(flooding::run(daemon.clone()));
     daemon.spawn(trace::run(daemon.clone()));
-    daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
+    daemon.spawn(interface_watch::run(daemon.clone(), named, changes));
     daemon.spawn(report::rib_clock(daemon.clone()));
     daemon.spawn(election::run(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));

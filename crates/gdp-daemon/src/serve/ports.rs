@@ -22,7 +22,7 @@ use tokio::time::{Instant, sleep};
 
 use super::daemon::Daemon;
 use super::start_error::StartError;
-use super::{interfaces, links};
+use super::{interfaces, links, recent_refusals};
 use crate::config::{Neighbour, NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
@@ -128,27 +128,32 @@ pub async fn run_ethernet(
         };
         daemon.ports().insert(name.clone(), open.clone());
         let via = Via::Interface(name.clone());
-        tokio::select! {
-            () = run(&daemon, &open, &via) => {}
-            () = interface_changed(&daemon, &open, &mut changes) => {}
-        }
-        tracing::warn!(interface = name, "the interface is gone or was made anew");
+        let change = tokio::select! {
+            () = run(&daemon, &open, &via) => "the port has ended".to_owned(),
+            change = interface_changed(&daemon, &open, &mut changes) => change,
+        };
+        tracing::warn!(interface = name, "{change}; its links end, and are made again when it can carry them");
         daemon.ports().remove(&name);
-        open.close("the interface is gone").await;
+        open.close(&change).await;
         if let Some(interface) = open.interface() {
             daemon.core().switch.planes.detach(interface.index);
         }
     }
 }
 
-/// Waits until the opened interface is gone or was recreated.
-async fn interface_changed(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
+/// Waits until the opened interface cannot be used as it was opened. Returns why.
+async fn interface_changed(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) -> String {
     let Some(opened) = port.interface() else { return std::future::pending().await };
     loop {
         interfaces::look(changes).await;
         match Interface::find(&opened.name) {
-            Ok(now) if now.index == opened.index && now.mac == opened.mac && now.mtu == opened.mtu => {}
-            _ => return,
+            Err(_) => return "the interface is gone".into(),
+            Ok(now) if now.index != opened.index => return "the interface was made anew".into(),
+            Ok(now) if now.mac != opened.mac => return "the interface has another MAC address".into(),
+            Ok(now) if now.mtu != opened.mtu => {
+                return format!("the MTU of the interface has changed from {} to {}", opened.mtu, now.mtu);
+            }
+            Ok(_) => {}
         }
         refresh(daemon);
     }
@@ -197,8 +202,8 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
             switch.recent_refusals.add(peer, RefusedThing::Link, None, &reason, std::time::Instant::now());
             switch.refused(peer, &via, &reason)
         };
-        if is_new {
-            tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
+        if is_new && let Some(suppressed) = recent_refusals::LINES.take(std::time::Instant::now()) {
+            tracing::warn!(peer = %format_args!("{peer:#}"), %reason, suppressed, "refused a link");
         }
     }
 }

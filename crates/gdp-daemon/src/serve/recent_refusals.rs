@@ -8,6 +8,7 @@ use gdp_proto::admin::links::Counts;
 use gdp_proto::admin::status::RecentRefusal;
 use gdp_proto::admin::words::RefusedThing;
 use gdp_proto::control::RefusalCode;
+use gdp_util::line_limit::{LineLimit, differ_in_digits_at_most};
 use gdp_wire::Name;
 
 /// The maximum number of peers to remember, once for each thing. The oldest make room.
@@ -19,6 +20,9 @@ const MAX_REASON: usize = 512;
 /// The window is counted in slots: a refusal counts for 50 to 60 s.
 const SLOTS: usize = 6;
 const SLOT: Duration = Duration::from_secs(10);
+
+/// The limit on log lines about refusals. Anybody can make keys, and each is a new peer.
+pub static LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
 
 #[derive(Debug)]
 pub struct RecentRefusals {
@@ -43,8 +47,16 @@ impl RecentRefusals {
         Self { start, entries: HashMap::new(), total: BTreeMap::new() }
     }
 
-    /// Records a refusal. Registrations have a code, links only a reason.
-    pub fn add(&mut self, peer: Name, what: RefusedThing, code: Option<RefusalCode>, reason: &str, now: Instant) {
+    /// Records a refusal. Registrations have a code, links only a reason. Returns whether the last
+    /// minute has no refusal of the peer for this reason.
+    pub fn add(
+        &mut self,
+        peer: Name,
+        what: RefusedThing,
+        code: Option<RefusalCode>,
+        reason: &str,
+        now: Instant,
+    ) -> bool {
         let kind = code.map_or_else(|| "NotAdmitted".to_owned(), |code| format!("{code:?}"));
         *self.total.entry(what.as_str()).or_default().entry(kind).or_default() += 1;
         let (key, slot) = ((peer, what.as_str()), self.slot(now));
@@ -59,7 +71,10 @@ impl RecentRefusals {
         let count = &mut entry.counts[slot as usize % SLOTS];
         *count = count.saturating_add(1);
         entry.at = now;
-        entry.reason = reason[..reason.floor_char_boundary(MAX_REASON)].to_owned();
+        let reason = &reason[..reason.floor_char_boundary(MAX_REASON)];
+        let is_new = !differ_in_digits_at_most(&entry.reason, reason);
+        entry.reason = reason.to_owned();
+        is_new
     }
 
     /// Returns the refusals of the last minute, the latest first.

@@ -9,6 +9,7 @@ use gdp_proto::admin::status::Warning;
 use gdp_wire::{Counter, Name};
 
 use super::core::Core;
+use super::interfaces::SmallMtu;
 
 /// The time without a frame after which an endpoint counts as silent. A subscriber sends greetings
 /// to its publishers more often.
@@ -18,7 +19,12 @@ const SILENT: Duration = Duration::from_secs(10);
 const NAMES: usize = 10;
 
 pub fn warnings(core: &Core) -> Vec<Warning> {
-    silent(core).into_iter().chain(without_publisher(core)).collect()
+    let open = core.membership.is_open.then_some(Warning::Open);
+    let small = core.switch.small_mtus.iter().map(|(interface, small)| {
+        let (interface, SmallMtu { mtu, needed }) = (interface.clone(), *small);
+        Warning::SmallMtu { interface, mtu, needed }
+    });
+    small.chain(open).chain(silent(core)).chain(without_publisher(core)).collect()
 }
 
 /// Returns the endpoints that may send to names with receivers, but sent no accepted frame on any

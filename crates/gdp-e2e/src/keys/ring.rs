@@ -84,6 +84,8 @@ pub struct KeyRing {
     current: Epoch,
     /// The next epoch, which is used when its boxes are stored.
     next: Option<Epoch>,
+    /// The highest epoch that a reader has shown to be of an earlier run.
+    earlier: u32,
 }
 
 struct Epoch {
@@ -110,7 +112,7 @@ impl KeyRing {
     /// Starts an epoch without any boxes.
     pub fn new(name: Name, writer: &Identity, rotation: Rotation, now: u64) -> Result<Self, RingError> {
         let current = Epoch::begin(0, now)?;
-        Ok(Self { name, writer: writer.clone(), rotation, readers: BTreeMap::new(), current, next: None })
+        Ok(Self { name, writer: writer.clone(), rotation, readers: BTreeMap::new(), current, next: None, earlier: 0 })
     }
 
     /// Sets the authorised readers by name and box key (SEC1 compressed), most important first.
@@ -137,6 +139,21 @@ impl KeyRing {
             epoch.stale |= epoch.holders.len() < holders;
         }
         omitted
+    }
+
+    /// Processes the newest box that a reader holds of this writer. If this writer's own signature
+    /// proves that an earlier run used a higher epoch, another epoch follows that one. This happens
+    /// after a restart with a clock that was set back. Returns whether there is such an epoch.
+    pub fn take_newest(&mut self, reader: &Name, signed: &Signed<KeyBox>) -> bool {
+        let Ok(KeyBox { name, writer, reader: of, epoch, .. }) = signed.claims_unverified() else { return false };
+        let is_news = epoch > self.latest().number.max(self.earlier) && self.readers.contains_key(reader);
+        let is_own = (name, writer, of) == (self.name, self.writer.name(), *reader);
+        if !is_news || !is_own || signed.verify_signature(&self.writer.key().verify_key()).is_err() {
+            return false;
+        }
+        self.earlier = epoch;
+        self.next.as_mut().unwrap_or(&mut self.current).stale = true;
+        true
     }
 
     /// Records the messages sealed under the current epoch's key since the last call, and their
@@ -203,7 +220,7 @@ impl KeyRing {
             self.current = next;
         }
         if self.is_due(now) && is_over(now, self.latest().began, BETWEEN_EPOCHS) {
-            let begun = Epoch::begin(self.latest().number, now)?;
+            let begun = Epoch::begin(self.latest().number.max(self.earlier), now)?;
             // A successor that is already stale still excludes the readers that were revoked
             // earlier.
             if let Some(next) = self.next.take() {

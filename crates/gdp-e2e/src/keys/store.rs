@@ -51,6 +51,8 @@ pub struct KeyStore {
 
 struct CachedKey {
     newest: (u32, EpochKey),
+    /// The box of the newest key.
+    signed: Signed<KeyBox>,
     /// Arrival time of the newest key.
     since: u64,
     before: Option<(u32, EpochKey)>,
@@ -77,7 +79,8 @@ impl KeyStore {
             if self.writers.len() == MAX_WRITERS {
                 return Err(StoreError::TooManyWriters);
             }
-            self.writers.insert(writer, CachedKey { newest: (epoch, key.clone()), since: now, before: None });
+            let (newest, signed) = ((epoch, key.clone()), signed.clone());
+            self.writers.insert(writer, CachedKey { newest, signed, since: now, before: None });
             return opened(None);
         };
         let known = kept.before.iter_mut().chain([&mut kept.newest]).find(|known| known.0 == epoch);
@@ -91,7 +94,7 @@ impl KeyStore {
         let newest = kept.newest.0;
         if epoch > newest {
             let before = std::mem::replace(&mut kept.newest, (epoch, key.clone()));
-            kept.since = now;
+            (kept.since, kept.signed) = (now, signed.clone());
             let dropped = kept.before.replace(before);
             return opened(dropped.map(|(epoch, _)| epoch));
         }
@@ -113,6 +116,16 @@ impl KeyStore {
             Some((*writer, epoch))
         };
         self.writers.iter_mut().filter_map(over).collect()
+    }
+
+    /// Returns the box of the newest key of a writer.
+    pub fn newest(&self, writer: &Name) -> Option<&Signed<KeyBox>> {
+        self.writers.get(writer).map(|kept| &kept.signed)
+    }
+
+    /// Returns the newest epoch of a writer.
+    pub fn newest_epoch(&self, writer: &Name) -> Option<u32> {
+        self.writers.get(writer).map(|kept| kept.newest.0)
     }
 
     /// Wipes the keys of a writer that no longer writes.

@@ -93,6 +93,9 @@ pub struct Received {
     /// Lost messages, except those that missed [`ReaderLimits::deadline`], which the caller
     /// handles.
     pub lost: Vec<Lost>,
+    /// Something that the writer has signed was older than [`ReaderLimits::max_age`]. It was late,
+    /// or the clocks differ.
+    pub too_old: bool,
 }
 
 impl Received {
@@ -102,6 +105,7 @@ impl Received {
         self.segments.clear();
         self.repeated.clear();
         self.lost.clear();
+        self.too_old = false;
     }
 }
 

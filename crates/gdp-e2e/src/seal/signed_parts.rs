@@ -17,7 +17,12 @@ pub fn unsigned(error: CryptoError) -> DropReason {
     if error == CryptoError::HighS { DropReason::HighS } else { DropReason::BadSignature }
 }
 
-pub fn check_age(push: &Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {
+/// Checks the age of what has proven to be signed.
+pub fn check_age(push: &mut Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {
     let age = u128::from(push.now.unix_ns.saturating_sub(timestamp_ns));
-    if age > push.shared.limits.max_age.as_nanos() { Err(DropReason::TooOld) } else { Ok(()) }
+    if age <= push.shared.limits.max_age.as_nanos() {
+        return Ok(());
+    }
+    push.out.too_old = true;
+    Err(DropReason::TooOld)
 }

@@ -30,6 +30,26 @@ fn fields_are_where_the_specification_says() {
 }
 
 #[test]
+fn a_held_key_has_the_length_that_it_states() {
+    let held = |len| Feedback::NewestKey { name: NAME, key_box: Signed::from_bytes(vec![5; len]).unwrap() };
+    for len in [0, 1, MAX_KEY_BOX] {
+        let mut bytes = encoded(&held(len));
+        assert_eq!(bytes.len(), 35 + len);
+        assert!(bytes.len() <= MAX_FEEDBACK);
+        assert_eq!(Feedback::decode_all(&bytes), Ok(vec![held(len)]));
+        for shorter in 0..bytes.len() {
+            assert!(Feedback::decode_all(&bytes[..shorter]).is_err(), "{shorter} of {len}");
+        }
+        bytes.push(0);
+        assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(0)));
+    }
+    let mut out = Vec::new();
+    assert_eq!(held(MAX_KEY_BOX + 1).encode(&mut out), Err(FeedbackError::KeyBox(MAX_KEY_BOX + 1)));
+    let too_long = [&[8][..], NAME.as_bytes(), &769_u16.to_be_bytes(), &[5; 769]].concat();
+    assert_eq!(Feedback::decode_all(&too_long), Err(FeedbackError::KeyBox(769)));
+}
+
+#[test]
 fn other_lengths_and_kinds_are_refused() {
     for (feedback, _) in all() {
         let mut bytes = encoded(&feedback);
@@ -38,7 +58,7 @@ fn other_lengths_and_kinds_are_refused() {
         }
         bytes.push(0);
         assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(0)));
-        for kind in [0, 6, 0xff] {
+        for kind in [0, 9, 0xff] {
             bytes[0] = kind;
             assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(kind)));
         }
@@ -101,7 +121,7 @@ fn messages_follow_one_another() {
     assert!(Feedback::decode_all(&[]).is_err(), "there is at least one");
 }
 
-fn all() -> [(Feedback, usize); 5] {
+fn all() -> [(Feedback, usize); 7] {
     let (name, session, challenge) = (NAME, SESSION, [3; 16]);
     let report = Feedback::Report {
         name,
@@ -121,6 +141,8 @@ fn all() -> [(Feedback, usize); 5] {
         (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, history: 0 }, 77),
         (report, 109),
         (Feedback::Unavailable { name, session, oldest: 12 }, 57),
+        (Feedback::Clock { name, session, challenge: [8; 16], unix_ns: u64::MAX }, 73),
+        (Feedback::ClockAnswer { name, challenge: [8; 16], unix_ns: 13 }, 57),
         (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 66 + 2 * 16),
     ]
 }

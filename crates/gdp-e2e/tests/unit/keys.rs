@@ -175,6 +175,46 @@ fn a_restarted_writer_repeats_no_number_however_often_it_changed_keys() {
     }
 }
 
+#[test]
+fn a_writer_that_restarts_with_a_clock_set_back_goes_on_after_the_epochs_that_readers_hold() {
+    let mut world = World::new(2, Rotation::default());
+    world.set_readers(&[0, 1]);
+    world.settle();
+    let before = world.ring.current().0;
+    // The readers have long settled for the epoch, so older ones are over.
+    world.now += 1000 * SECOND;
+    let (readers_time, held) = (world.now, world.readers[0].store.newest(&world.writer.name()).unwrap().clone());
+    world.now -= 3600 * SECOND;
+    world.restart();
+    world.set_readers(&[0, 1]);
+    let (reader, other) = (world.readers[0].identity.name(), world.readers[1].identity.name());
+    for boxes in std::iter::from_fn(|| world.poll()).collect::<Vec<_>>() {
+        for signed in &boxes.boxes {
+            for reader in &mut world.readers {
+                reader.offer(readers_time, &world.writer, signed);
+            }
+        }
+        world.ring.boxes_stored(boxes.epoch);
+    }
+    assert_eq!(world.who_opens(), BTreeSet::new());
+
+    // What this writer has not signed, or for another reader, moves nothing.
+    let mut claims = held.claims_unverified().unwrap();
+    claims.epoch = u32::MAX;
+    let forged = issue(world.readers[0].identity.key(), &claims).unwrap();
+    assert!(!world.ring.take_newest(&reader, &forged) && !world.ring.take_newest(&other, &held));
+    assert!(world.ring.take_newest(&reader, &held) && !world.ring.take_newest(&reader, &held), "once");
+    world.now += SECOND;
+    while let Some(boxes) = world.poll() {
+        for signed in &boxes.boxes {
+            world.readers.iter_mut().for_each(|reader| reader.offer(readers_time, &world.writer, signed));
+        }
+        world.ring.boxes_stored(boxes.epoch);
+    }
+    assert_eq!(world.ring.current().0, before + 1);
+    assert_eq!(world.who_opens(), BTreeSet::from([0, 1]));
+}
+
 /// Readers join, leave, are revoked and return. Storing takes time or fails, the writer restarts,
 /// and the box storage loses its boxes. A message always opens for exactly the readers with a box
 /// of the current epoch. Soon afterwards, those are exactly the authorised readers.

@@ -4,6 +4,8 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::control::RefusalCode;
+
 use super::words::{PeerRelationship, PeerRole};
 
 /// Something that happened, and when.
@@ -35,6 +37,21 @@ pub enum Event {
         peer: Name,
         via: String,
         reason: String,
+    },
+    /// An attachment, an advertisement or a subscription of an entity was refused.
+    RegistrationRefused {
+        entity: Name,
+        code: RefusalCode,
+        reason: String,
+    },
+    /// Something that only attacks and broken peers cause has happened so often since the last
+    /// event of its kind.
+    Suspicious {
+        /// A counter of dropped frames, or `handshakes`.
+        what: String,
+        count: u64,
+        /// The peer over whose link most of the frames came, if its key authenticates them.
+        peer: Option<Name>,
     },
     Attached {
         entity: Name,

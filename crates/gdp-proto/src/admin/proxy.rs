@@ -1,5 +1,7 @@
 //! The proxy as it sees itself: `gdp-ctl status` where only a proxy runs, and `--stats`.
 
+use std::fmt;
+
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,8 +31,31 @@ pub struct ProxyReply {
     pub calls: Vec<ProxyCall>,
     /// The links, in the order of the configuration.
     pub links: Vec<ProxyLink>,
+    /// The counterparts whose clocks differ, so that messages are refused as too old.
+    #[serde(default)]
+    pub clocks: Vec<ProxyClock>,
     /// The counters of the proxy's node in the fabric.
     pub node: ProxyNode,
+}
+
+/// A counterpart whose clock differs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ProxyClock {
+    pub peer: Name,
+    /// Milliseconds by which the peer's clock is ahead of this one; negative if it is behind.
+    pub ahead_ms: i64,
+    /// The peer refuses messages of this proxy. Otherwise this proxy refuses those of the peer.
+    pub refuses: bool,
+}
+
+impl fmt::Display for ProxyClock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { peer, ahead_ms, refuses } = self;
+        let direction = if *ahead_ms < 0 { "behind" } else { "ahead of" };
+        let what = if *refuses { "it refuses" } else { "this machine refuses its" };
+        let seconds = ahead_ms.unsigned_abs() / 1000;
+        write!(f, "the clock of {peer:#} is {seconds} s {direction} the one here, and {what} messages as too old")
+    }
 }
 
 /// One topic in one direction.

@@ -202,4 +202,29 @@ pub enum Warning {
     /// Names with readers or callers that nobody publishes or serves; the first of them.
     #[serde(rename = "not_served")]
     NotServed { count: usize, names: Vec<Name> },
+    /// The switch is of no domain, so every endpoint that reaches it gets a link.
+    Open,
+    /// The MTU of an interface is too small for links.
+    #[serde(rename = "small_mtu")]
+    SmallMtu {
+        interface: String,
+        /// In bytes, like `needed`.
+        mtu: u32,
+        needed: u32,
+    },
+}
+
+impl Warning {
+    /// All kinds, as [`Self::kind`] returns them.
+    pub const KINDS: [&'static str; 4] = ["silent", "not_served", "open", "small_mtu"];
+
+    /// Returns the word for the kind of warning.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Silent { .. } => "silent",
+            Self::NotServed { .. } => "not_served",
+            Self::Open => "open",
+            Self::SmallMtu { .. } => "small_mtu",
+        }
+    }
 }

@@ -115,7 +115,8 @@ pub fn refusal(error: CertError) -> Refusal {
         | CertError::NotAMember { .. }
         | CertError::ByInvitation { .. }
         | CertError::WrongRole { .. }
-        | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
+        | CertError::WrongDomain { .. }
+        | CertError::NotADomain { .. } => RefusalCode::NotEntitled,
         CertError::OldVersion { .. } | CertError::UnknownField { .. } => RefusalCode::Unsupported,
         CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
     };

@@ -77,10 +77,12 @@ impl Database {
     ///
     /// A switch that lost its numbers may state different content under a used number. All switches
     /// then prefer the same one of the two, and the switch itself continues with a higher number.
+    /// Signatures do not count: a switch that signs one payload twice has stated nothing new.
     pub fn compare(&self, flooded: &Flooded, claims: &LinkState) -> Ordering {
         let Some(held) = self.0.get(&claims.switch) else { return Ordering::Greater };
-        let age = |claims: &LinkState, flooded: &Flooded| (claims.version(), flooded.state.as_bytes().to_vec());
-        age(claims, flooded).cmp(&age(&held.claims, &held.flooded))
+        let payload = |flooded: &Flooded| flooded.state.payload_unverified().ok();
+        let by_version = claims.version().cmp(&held.claims.version());
+        by_version.then_with(|| payload(flooded).cmp(&payload(&held.flooded)))
     }
 
     /// Returns the statement of a switch for flooding, or `None` if it expires within a second.

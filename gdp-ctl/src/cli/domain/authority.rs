@@ -42,6 +42,9 @@ impl Authority {
         let card = card.map_or_else(|| card_file_of(key), Path::to_path_buf);
         let ledger = DomainLedger::open(&card)?;
         let known = ledger.issuance_log.card();
+        if !known.is_domain() {
+            bail!("{}: not the card of a domain; `gdp-ctl domain init` makes one", card.display());
+        }
         let Some(identity) = Identity::of_domain(signing_key.clone(), known) else {
             let of = Identity::new(signing_key, "domain").name();
             bail!("{} is the key of domain {of}, and {} the card of {}", key.display(), card.display(), known.name());

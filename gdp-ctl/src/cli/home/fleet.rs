@@ -4,15 +4,14 @@
 //! differ are enrolled anew, without joining again.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::Read as _;
 use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use clap::Args;
 use gdp_core::cert::{Enrollment, TopicsOf, issue};
 use gdp_util::terminal::note;
 use gdp_util::unix_time::unix_seconds;
+use gdp_util::{text_file, yaml};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -138,14 +137,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 }
 
 fn load(path: &PathBuf) -> anyhow::Result<Fleet> {
-    let mut text = String::new();
-    let read = fs::File::open(path).and_then(|file| file.take(MAX_FILE + 1).read_to_string(&mut text));
-    if read.with_context(|| format!("{}: cannot be read", path.display()))? as u64 > MAX_FILE {
-        bail!("{}: longer than {MAX_FILE} bytes, so not a fleet", path.display());
-    }
-    let options = serde_saphyr::options! { with_snippet: false };
-    let fleet: Fleet =
-        serde_saphyr::from_str_with_options(&text, options).with_context(|| path.display().to_string())?;
+    let text = text_file::read(path, MAX_FILE).with_context(|| format!("{}: cannot be read", path.display()))?;
+    let Some(text) = text else { bail!("{}: longer than {MAX_FILE} bytes, so not a fleet", path.display()) };
+    let fleet: Fleet = yaml::parse(&text).map_err(|error| anyhow!("{}: {error}", path.display()))?;
     match fleet.version {
         1 => Ok(fleet),
         other => bail!("{}: version {other} is not known to this release; write version: 1", path.display()),

@@ -91,6 +91,7 @@ fn proxy_notes(proxy: &ProxyReply) -> Vec<(Tone, String)> {
         let reason = proxy.links.iter().find_map(|link| link.reason.clone()).unwrap_or_default();
         notes.push((Tone::Alert, clean(&format!("the proxy has no switch: {reason}"))));
     }
+    notes.extend(proxy.clocks.iter().map(|clock| (Tone::Alert, clean(&clock.to_string()))));
     notes.extend(proxy.member_error.iter().map(|error| (Tone::Alert, clean(&format!("membership: {error}")))));
     notes
 }
@@ -105,6 +106,8 @@ fn switch_notes(switch: &StatusReply) -> Vec<(Tone, String)> {
     let warnings = switch.warnings.iter().map(|warning| match warning {
         Warning::Silent { entity, for_s, .. } => format!("{entity:#} has sent nothing for {for_s} s"),
         Warning::NotServed { count, .. } => format!("{count} names are read or called, and nobody publishes them"),
+        Warning::Open => "of no domain: every endpoint that reaches this switch gets a link".to_owned(),
+        Warning::SmallMtu { interface, mtu, needed } => format!("{interface}: MTU {mtu}, and links need {needed}"),
     });
     let refused = switch.refused.iter().take(3);
     let refused = refused.map(|of| format!("refused a {} of {:#}, × {}: {}", of.what, of.peer, of.count, of.reason));

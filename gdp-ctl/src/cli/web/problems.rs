@@ -83,6 +83,10 @@ pub fn find(
                     let first = names.first().map_or_else(String::new, |name| format!(", such as {}", called(*name)));
                     format!("{count} names have readers and nobody publishes them{first}")
                 }
+                Warning::Open => "This switch is of no domain: every endpoint that reaches it gets a link".into(),
+                Warning::SmallMtu { interface, mtu, needed } => {
+                    format!("{interface} has an MTU of {mtu}, and links need {needed}")
+                }
             },
         );
     }

@@ -29,3 +29,16 @@ fn what_is_for_one_entity_travels_together_as_far_as_it_fits() {
     assert!(outgoing.is_empty());
     outgoing.flush(|writer, _| panic!("nothing is left for {writer}"));
 }
+
+#[test]
+fn what_earlier_releases_do_not_know_travels_alone() {
+    let mut outgoing = OutgoingFeedback::default();
+    let answer = Feedback::ClockAnswer { name: Name::from_bytes([7; 32]), challenge: [9; 16], unix_ns: 1 };
+    for feedback in [gone(1), answer.clone(), gone(2)] {
+        outgoing.push(&WRITERS[0], feedback);
+    }
+    outgoing.push(&WRITERS[1], answer.clone());
+    let mut frames = Vec::new();
+    outgoing.flush(|_, feedback| frames.push(feedback.to_vec()));
+    assert_eq!(frames, [vec![answer.clone()], vec![gone(1), gone(2)], vec![answer]]);
+}

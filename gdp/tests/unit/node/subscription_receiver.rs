@@ -130,3 +130,45 @@ fn a_mark_counts_for_who_sealed_the_frame_only() {
     assert_eq!(marks.get(&writers[0]), Some(&1), "its own frame had a mark");
     assert!(marks.get(&writers[1]).is_none_or(|ce| *ce == 0), "and the other's none: {marks:?}");
 }
+
+/// The clock of the reader is an hour ahead. The writer's answer, and not the age of a message,
+/// tells that; the answer to another question tells nothing.
+#[test]
+fn a_writer_whose_messages_are_too_old_is_asked_for_its_time() {
+    let (queue, mut messages) = mpsc::channel(4);
+    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
+    let (key, counters, writer) =
+        (SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Counters::default(), Name::from_bytes([2; 32]));
+    let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::selected()).unwrap();
+    seals.set_epoch(1, &EpochKey::from_bytes([2; 32])).unwrap();
+    intake.change(0, Change::Authorise { writer, key: key.verify_key() });
+    let opened = Opened { epoch: 1, key: EpochKey::from_bytes([2; 32]), dropped: None };
+    intake.change(0, Change::Key { writer, opened });
+    let mut said = Vec::new();
+    intake.poll(0, &counters, |_, feedback| said.push(feedback));
+    let [Feedback::Hello { challenge, .. }] = said[..] else { panic!("{said:?}") };
+    let session = seals.session();
+    let welcome = Feedback::Welcome { name: NAME, challenge, session, sequence: 1, history: 1024 };
+    assert!(intake.hear(0, &writer, &welcome));
+
+    let (writers_time, hour, mut segments) = (unix_nanos() - 3600 * 1_000_000_000, 3600_u64, Segments::new());
+    let mut asked = Vec::new();
+    for now in [1_000_000, 2_000_000] {
+        seals.seal(writers_time, Encoding::Bytes, b"message", 1000, &mut segments).unwrap();
+        let now = Timestamps { steady_ns: now, unix_ns: unix_nanos() };
+        intake.push(now, writer, segments.iter().next().unwrap(), false, &counters);
+        intake.poll(now.steady_ns, &counters, |_, feedback| {
+            if let Feedback::Clock { session, challenge, unix_ns, .. } = feedback {
+                asked.push((session, challenge, unix_ns));
+            }
+        });
+    }
+    assert!(messages.try_recv().is_err());
+    let [(of, challenge, unix_ns)] = asked[..] else { panic!("{asked:?}") };
+    assert_eq!(of, session);
+    assert!(unix_ns.abs_diff(unix_nanos()) < 60 * 1_000_000_000, "the reader's time");
+    assert_eq!(intake.clock_answer(3_000_000, &writer, &[0; 16], writers_time), None);
+    let ahead = intake.clock_answer(3_000_000, &writer, &challenge, writers_time).unwrap();
+    assert_eq!(ahead / 60_000_000_000, -(hour as i64) / 60, "{ahead}");
+    assert_eq!(intake.clock_answer(3_000_000, &writer, &challenge, 0), None, "a recording");
+}

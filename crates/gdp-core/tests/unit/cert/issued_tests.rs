@@ -228,6 +228,28 @@ fn each_way_not_to_have_the_role_has_its_error() {
 }
 
 #[test]
+fn the_names_of_other_entities_are_no_domains() {
+    let f = Fixture::new();
+    for kind in name::ENTITY_KINDS {
+        let entity = Identity::new(f.domain.key().clone(), kind);
+        let to = Grantee::Role { domain: entity.name(), role: f.member().role };
+        let member = MemberCert { domain: entity.name(), ..f.member() };
+        let member = Some(Membership::issue(&entity, &member).unwrap().into());
+        let reading = Reading { member, ..issue(&f.owner, &ReadGrant { to, ..f.grant() }).unwrap().into() };
+        let refused = reading.verify(&f.proof, f.robot(), None, NOW);
+        assert_eq!(refused, Err(CertError::NotADomain { name: entity.name(), kind }));
+    }
+    let successor = SigningKey::from_secret_bytes(&[7; 32]).unwrap().verify_key();
+    let metadata = name::domain_metadata(Some(&successor));
+    let card = crate::card::NameCard::new(f.domain.key().verify_key(), metadata).unwrap();
+    let domain = Identity::of_domain(f.domain.key().clone(), &card).unwrap();
+    let member = Membership::issue(&domain, &MemberCert { domain: domain.name(), ..f.member() }).unwrap();
+    member.verify(domain.name(), None, NOW).unwrap();
+    let topic = crate::card::NameCard::create(f.domain.key().verify_key(), "topic", "/a", "b/msg/C", None).unwrap();
+    assert!(Identity::of_domain(f.domain.key().clone(), &topic).is_none(), "its key signs for no domain");
+}
+
+#[test]
 fn a_chain_survives_its_file_and_its_message() {
     let f = Fixture::new();
     let mut reading = f.role_reading(|_| ());

@@ -22,6 +22,8 @@ pub struct Membership {
     /// The domain. Without one, the switch accepts links from all configured neighbours and all
     /// endpoints.
     pub domain: Option<Domain>,
+    /// The switch has no domain, and other machines can reach it.
+    pub is_open: bool,
     /// The addresses at which other domains reach this border.
     public: Vec<SocketAddr>,
     /// What other domains see of this domain when they trace names through this switch.
@@ -33,7 +35,7 @@ pub struct Membership {
 
 impl Membership {
     pub fn new(domain: Domain, public: Vec<SocketAddr>, trace_visibility: Inside) -> Self {
-        Self { domain: Some(domain), public, trace_visibility, statement: None }
+        Self { domain: Some(domain), is_open: false, public, trace_visibility, statement: None }
     }
 
     pub fn home(&self) -> Option<Name> {

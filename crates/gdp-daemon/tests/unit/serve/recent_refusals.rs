@@ -29,6 +29,18 @@ fn refusals_are_counted_for_a_minute_by_peer_and_thing() {
 }
 
 #[test]
+fn only_another_reason_is_news() {
+    let start = Instant::now();
+    let mut refusals = RecentRefusals::new(start);
+    let mut add = |peer, reason, seconds| {
+        refusals.add(name(peer), RefusedThing::Link, None, reason, start + Duration::from_secs(seconds))
+    };
+    let news = [add(1, "ended 1 s ago", 1), add(1, "ended 2 s ago", 2), add(1, "revoked", 3), add(2, "revoked", 3)];
+    assert_eq!(news, [true, false, true, true]);
+    assert!(add(1, "revoked", 300), "a minute without it");
+}
+
+#[test]
 fn a_flood_of_peers_and_long_reasons_are_bounded() {
     let start = Instant::now();
     let mut refusals = RecentRefusals::new(start);

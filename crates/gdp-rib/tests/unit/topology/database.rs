@@ -14,8 +14,9 @@ fn the_newest_counts_and_ends_in_time() {
         let (flooded, claims) = state(1, run, number, expires_in);
         d.take(NOW, flooded, claims, |_| true)
     };
-    let twice = [state(1, 2, 5, 100), state(1, 2, 5, 100)];
-    let newer = twice.iter().max_by_key(|(flooded, _)| flooded.state.as_bytes()).unwrap();
+    let other = |claims: LinkState| LinkState { lifetime: 100, ..claims };
+    let twice = [state(1, 2, 5, 100), signed(other(state(1, 2, 5, 100).1), 100)];
+    let newer = twice.iter().max_by_key(|(flooded, _)| flooded.state.payload_unverified().unwrap()).unwrap();
     let take_again = |d: &mut Database, (flooded, claims): &(Flooded, LinkState)| {
         d.take(NOW, flooded.clone(), claims.clone(), |_| true)
     };
@@ -36,6 +37,18 @@ fn the_newest_counts_and_ends_in_time() {
 }
 
 #[test]
+fn the_same_payload_under_another_signature_is_known() {
+    let (flooded, claims) = state(1, 2, 5, 100);
+    let (again, _) = signed(claims.clone(), 100);
+    assert_ne!(flooded.state.as_bytes(), again.state.as_bytes());
+    for [first, second] in [[&flooded, &again], [&again, &flooded]] {
+        let mut database = Database::default();
+        let mut take = |flooded: &Flooded| database.take(NOW, flooded.clone(), claims.clone(), |_| true);
+        assert_eq!((take(first), take(second)), (Taken::News { changed: true }, Taken::Known));
+    }
+}
+
+#[test]
 fn whoever_is_not_reached_makes_room() {
     let mut database = Database::default();
     for i in 0..MAX_SWITCHES as u16 {
@@ -49,7 +62,6 @@ fn whoever_is_not_reached_makes_room() {
 }
 
 fn state(i: u16, run: u64, number: u64, expires_in: u32) -> (Flooded, LinkState) {
-    let key = SigningKey::generate().unwrap();
     let claims = LinkState {
         switch: name(i),
         run,
@@ -61,6 +73,12 @@ fn state(i: u16, run: u64, number: u64, expires_in: u32) -> (Flooded, LinkState)
         borders: vec![],
         lifetime: 180,
     };
+    signed(claims, expires_in)
+}
+
+/// Signs by a new key each time.
+fn signed(claims: LinkState, expires_in: u32) -> (Flooded, LinkState) {
+    let key = SigningKey::generate().unwrap();
     let proof = NameProof { owner_key: key.public(), digest: [0; 32] };
     (Flooded { proof, state: issue(&key, &claims).unwrap(), expires_in }, claims)
 }

@@ -16,6 +16,7 @@ use super::link_state::LinkState;
 use crate::domain::Relationship;
 use crate::serve::events::{Event, Events};
 use crate::serve::graceful_restart::{GracefulRestart, Reservation, StaleLink};
+use crate::serve::interfaces::SmallMtu;
 use crate::serve::recent_refusals::RecentRefusals;
 use crate::serve::refusals::Refusals;
 use crate::serve::routes::{PlaneChange, Routes};
@@ -43,6 +44,8 @@ pub struct Switch {
     events: Events,
     /// The indices of interfaces without carrier.
     no_carrier: BTreeSet<u32>,
+    /// The interfaces whose MTU is too small for links.
+    pub small_mtus: BTreeMap<String, SmallMtu>,
     /// The routes that the data plane refused, and the reason of the last refusal.
     pending_routes: (BTreeMap<Name, PlaneRoute>, String),
     /// The time until which the data planes keep the ports and programs of an earlier daemon.
@@ -63,6 +66,7 @@ impl Switch {
             recent_refusals: RecentRefusals::new(Instant::now()),
             events,
             no_carrier: BTreeSet::new(),
+            small_mtus: BTreeMap::new(),
             pending_routes: Default::default(),
             adopted_until: None,
         }
