@@ -245,3 +245,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), run, credentials };
     Ok((Peer { name, proof, key, role, lane }, end))
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/link/hello.rs"]
+mod tests;
