@@ -13,8 +13,8 @@ use examples::{NOW, Parties, SERIAL, compose, key, sign};
 use gdp_core::cbor::{self, Value};
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{
-    AdCert, Advert, AdvertOp, CertError, Claims, Delegation, Enrollment, Grantee, Invite, Issued, LinkState, MemberCert,
-    Membership, PeerCert, ReadGrant, Reading, RenewalDelegation, Revocation, Signed, SwitchStatement,
+    AdCert, Advert, AdvertOp, CertError, Claims, Delegation, Enrollment, Grantee, Invite, Issued, LinkState,
+    MemberCert, Membership, PeerCert, ReadGrant, Reading, RenewalDelegation, Revocation, Signed, SwitchStatement,
 };
 use gdp_core::domain::{Credentials, Enrolling, Token};
 use gdp_core::identity::{Identity, SigningKey, VerifyKey};
@@ -66,7 +66,8 @@ fn files_and_lines_have_the_published_schema() {
     let line = |full: bool| {
         let invite = sign(parties.domain.key(), &parties.invite());
         let at = "udp://edge.example:31415".parse().unwrap();
-        let token = Token::new(parties.domain.proof(), invite, key(6), at, full.then(|| parties.switch.name())).unwrap();
+        let token =
+            Token::new(parties.domain.proof(), invite, key(6), at, full.then(|| parties.switch.name())).unwrap();
         let enrollment = Enrollment { member: SERIAL + 1, ..parties.enrollment() };
         let enrolling = Enrolling {
             enrollment: sign(parties.domain.key(), &enrollment),
@@ -158,7 +159,8 @@ fn refused_kinds(parties: &Parties) -> Vec<Json> {
     let name = |byte| Name::from_bytes([byte; 32]);
     let bounds = |number, revoked| Revocation { number, revoked, ..parties.revocation() };
     let payload = || cbor::encode(&ad).unwrap();
-    let composed = |change: fn(coset::CoseSign1) -> coset::CoseSign1| compose(owner, AdCert::CONTEXT, payload(), change);
+    let composed =
+        |change: fn(coset::CoseSign1) -> coset::CoseSign1| compose(owner, AdCert::CONTEXT, payload(), change);
     let mut trailing = sign(owner, &ad).as_bytes().to_vec();
     trailing.push(0);
     let unprotected = |mut cose: coset::CoseSign1| {
@@ -183,10 +185,14 @@ fn refused_kinds(parties: &Parties) -> Vec<Json> {
         bad("a scope of 65 domains", owner, &AdCert { scope: vec![name(7); 65], ..ad.clone() }),
         bad("serials out of order", owner, &bounds(1, vec![3, 2])),
         bad("257 serials", owner, &bounds(1, (0..257).collect())),
-        bad("a role with a capital letter", owner, &ReadGrant {
-            to: Grantee::Role { domain: parties.domain.name(), role: "Viewer".into() },
-            ..parties.read_grant()
-        }),
+        bad(
+            "a role with a capital letter",
+            owner,
+            &ReadGrant {
+                to: Grantee::Role { domain: parties.domain.name(), role: "Viewer".into() },
+                ..parties.read_grant()
+            },
+        ),
         bad("a role of 33 characters", domain, &parties.member_cert(&parties.reader, &"v".repeat(33))),
         bad("whom it admits ends before it", domain, &Invite { member_until: NOW, ..parties.invite() }),
         bad("a lifetime of 0 s", domain, &RenewalDelegation { lifetime: 0, ..parties.renewal_delegation() }),
@@ -194,16 +200,17 @@ fn refused_kinds(parties: &Parties) -> Vec<Json> {
         bad("a label that begins with a digit", domain, &Enrollment { label: "7robot".into(), ..parties.enrollment() }),
         bad("65 patterns", domain, &Enrollment { expose: vec!["/a".into(); 65], ..parties.enrollment() }),
         bad("a box key that is no point", writer, &Advert { box_key: [5; 33], ..by_name }),
-        bad("9 addresses", switch, &SwitchStatement {
-            addresses: vec!["192.0.2.1:1".parse().unwrap(); 9],
-            ..parties.switch_statement()
-        }),
+        bad(
+            "9 addresses",
+            switch,
+            &SwitchStatement { addresses: vec!["192.0.2.1:1".parse().unwrap(); 9], ..parties.switch_statement() },
+        ),
         bad("a sealed key of 112 bytes", writer, &KeyBox { sealed: vec![0; 112], ..parties.key_box() }),
-        bad("neighbours out of order", switch, &LinkState {
-            neighbours: vec![(name(2), 1), (name(1), 1)],
-            silent: 0,
-            ..link.clone()
-        }),
+        bad(
+            "neighbours out of order",
+            switch,
+            &LinkState { neighbours: vec![(name(2), 1), (name(1), 1)], silent: 0, ..link.clone() },
+        ),
         bad("a neighbour of cost 0", switch, &LinkState { neighbours: vec![(name(1), 0)], silent: 0, ..link.clone() }),
         bad("silent without a neighbour", switch, &LinkState { silent: 2, ..link.clone() }),
         bad("egress bit 64", switch, &LinkState { bit: Some(64), ..link.clone() }),
@@ -327,7 +334,11 @@ fn memberships(parties: &Parties) -> Vec<Json> {
         vector("by invitation", parties.invited(&claims()), None),
         vector("renewed", parties.renewed(&renewed(parties)), None),
         vector("with the proof of another domain", foreign, None),
-        vector("by invitation, in another role", parties.invited(&parties.member_cert(&parties.reader, "switch")), None),
+        vector(
+            "by invitation, in another role",
+            parties.invited(&parties.member_cert(&parties.reader, "switch")),
+            None,
+        ),
         vector("by invitation, issued after its end", parties.invited(&late), None),
         vector("by invitation, issued before it", parties.invited(&MemberCert { serial: SERIAL, ..claims() }), None),
         vector("by invitation, for longer than it admits", parties.invited(&long), None),

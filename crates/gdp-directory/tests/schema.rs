@@ -41,11 +41,8 @@ fn messages_of_the_join_service_have_the_published_schema() {
         right: sign(&parties.owner, &parties.ad_cert()),
         delegation: sign(&parties.owner, &parties.delegation()),
     };
-    let join = |catalog| Join {
-        membership: parties.membership(&parties.reader, "viewer"),
-        enrollment: enrollment(),
-        catalog,
-    };
+    let join =
+        |catalog| Join { membership: parties.membership(&parties.reader, "viewer"), enrollment: enrollment(), catalog };
     let claims = parties.enrollment();
     let application = Application {
         key: parties.invited.verify_key(),

@@ -36,8 +36,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::link;
 use crate::link::{
-    CloseCode, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicConfigs, QuicMtu, RekeySchedule,
-    Versions, greet_as_client, greet_as_server,
+    CloseCode, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicConfigs, QuicMtu,
+    RekeySchedule, Versions, greet_as_client, greet_as_server,
 };
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::identity::Identity;

@@ -44,9 +44,8 @@ fn vectors_of_control_messages() {
 #[test]
 fn the_schema_refuses_other_messages() {
     let text = |text: &str| Value::Text(text.into());
-    let map = |fields: &[(&str, Value)]| {
-        Value::Map(fields.iter().map(|(name, value)| (text(name), value.clone())).collect())
-    };
+    let map =
+        |fields: &[(&str, Value)]| Value::Map(fields.iter().map(|(name, value)| (text(name), value.clone())).collect());
     let detach = |switch: Value| map(&[("Detach", map(&[("switch", switch), ("entity", name())]))]);
     let encode = |value: &Value| gdp_core::cbor::encode(value).unwrap();
     schema::check("request", &encode(&detach(name()))).unwrap();
@@ -81,9 +80,8 @@ fn message<T: Serialize + DeserializeOwned>(
 /// Requests that are refused, with the code and the reason of this implementation.
 fn refused() -> Vec<Json> {
     let text = |text: &str| Value::Text(text.into());
-    let map = |fields: &[(&str, Value)]| {
-        Value::Map(fields.iter().map(|(name, value)| (text(name), value.clone())).collect())
-    };
+    let map =
+        |fields: &[(&str, Value)]| Value::Map(fields.iter().map(|(name, value)| (text(name), value.clone())).collect());
     let encode = |value: &Value| gdp_core::cbor::encode(value).unwrap();
     let detach = map(&[("Detach", map(&[("switch", name()), ("entity", name())]))]);
     let mut nested = text("Ready");
@@ -91,13 +89,10 @@ fn refused() -> Vec<Json> {
         nested = map(&[("Onward", map(&[("to", name()), ("hops", 1.into()), ("request", nested)]))]);
     }
     let proof = map(&[("owner_key", Value::Bytes(vec![2; 33])), ("digest", name()), ("later", 1.into())]);
-    let report = map(&[
-        ("switch", proof),
-        ("attached", Value::Array(vec![])),
-        ("own_bit", Value::Null),
-        ("shown", Value::Null),
-    ]);
-    let twice = [&[0xa1, 0x66][..], b"Detach", &[0xa2, 0x66], b"switch", &[0x40, 0x66], b"switch", &[0x40]].concat();
+    let report =
+        map(&[("switch", proof), ("attached", Value::Array(vec![])), ("own_bit", Value::Null), ("shown", Value::Null)]);
+    let field = [&[0x66][..], b"switch", &[0x58, 32], &[7; 32]].concat();
+    let twice = [&[0xa1, 0x66][..], b"Detach", &[0xa2], &field, &field].concat();
     let cases = [
         ("no CBOR", vec![0xff]),
         ("nothing", vec![]),
@@ -107,10 +102,10 @@ fn refused() -> Vec<Json> {
         ("a kind of an entity's request of a later release", encode(&map(&[("Entity", map(&[("Fly", map(&[]))]))]))),
         ("a field is missing", encode(&map(&[("Detach", map(&[("switch", name())]))]))),
         ("a field occurs twice", twice),
-        ("a name of 31 bytes", encode(&map(&[("Detach", map(&[
-            ("switch", Value::Bytes(vec![0; 31])),
-            ("entity", name()),
-        ]))]))),
+        (
+            "a name of 31 bytes",
+            encode(&map(&[("Detach", map(&[("switch", Value::Bytes(vec![0; 31])), ("entity", name())]))])),
+        ),
         ("a further field of a name proof", encode(&map(&[("Report", report)]))),
         ("nested more than 24 deep", encode(&nested)),
         ("65537 bytes", vec![0; 65537]),

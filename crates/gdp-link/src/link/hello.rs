@@ -175,11 +175,7 @@ impl Drop for Unfinished {
 }
 
 /// This side allocates no link id before the peer has proved its name.
-async fn hear_and_say(
-    connection: Connection,
-    location: LinkLocation,
-    config: &HelloConfig,
-) -> Result<Link, LinkError> {
+async fn hear_and_say(connection: Connection, location: LinkLocation, config: &HelloConfig) -> Result<Link, LinkError> {
     negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;

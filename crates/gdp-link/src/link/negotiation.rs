@@ -1,7 +1,7 @@
 //! The version that the handshake of a link has negotiated.
 
-use quinn::crypto::rustls::HandshakeData;
 use quinn::Connection;
+use quinn::crypto::rustls::HandshakeData;
 
 use crate::link::close_code::CloseCode;
 use crate::link::error::LinkError;

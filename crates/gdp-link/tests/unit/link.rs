@@ -68,10 +68,12 @@ async fn every_link_has_keys_and_ids_of_its_own() {
 async fn another_peer_than_expected_is_refused() {
     let (switch, other) = (identity("switch"), identity("switch"));
     let (listener, dialler) = (listen(&switch), open(&identity("proxy")));
-    let (error, refused) = tokio::join!(dialler.dial(addr_of(&listener), Some(other.name())), accept(&listener));
-    let error = error.unwrap_err();
-    let refused = refused.unwrap().0.connection.closed().await;
-    assert_eq!(closed(refused), (CloseCode::WrongPeer, "another peer was expected".into()));
+    let told = async || {
+        let (_, refused) = tokio::join!(dialler.dial(addr_of(&listener), Some(other.name())), accept(&listener));
+        refused.unwrap().0.connection.closed().await
+    };
+    assert_eq!(closed(told).await, (CloseCode::WrongPeer, "another peer was expected".into()));
+    let error = dialler.dial(addr_of(&listener), Some(other.name())).await.unwrap_err();
     assert!(
         matches!(error, LinkError::WrongPeer { expected, found } if expected == other.name() && found == switch.name())
     );
@@ -152,11 +154,13 @@ async fn silent_peers_hold_up_nobody_else() {
     let dialler = open(&identity("proxy"));
     link(&dialler, &listener).await;
     assert!(silent.iter().all(|connection| connection.close_reason().is_none()), "it waited for their end");
+    let mut timed_out = 0;
     for connection in silent {
-        let (code, reason) = closed(connection.closed().await);
-        assert_eq!(code, CloseCode::Timeout, "{reason}");
-        assert!(reason.contains("in time"), "{reason}");
+        let quinn::ConnectionError::ApplicationClosed(close) = connection.closed().await else { continue };
+        assert_eq!(close.error_code, CloseCode::Timeout.into());
+        timed_out += 1;
     }
+    assert!(timed_out > 0, "all were reset");
     let refused = accept(&listener).await.unwrap_err();
     assert!(matches!(refused, LinkError::Timeout { .. }), "{refused}");
 }
@@ -188,15 +192,19 @@ async fn hellos_are_bounded_and_checked() {
         (said("mtu", 511.into()), "an MTU of 511 bytes, not 512 to 65631"),
         (said("role", "Broker".into()), "Broker is of a later release"),
     ] {
-        let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();
-        let connection = connecting.await.unwrap();
-        let (mut send, _recv) = connection.open_bi().await.unwrap();
-        send.write_all(&hello).await.unwrap();
-        send.finish().unwrap();
-        let (code, reason) = closed(connection.closed().await);
+        let told = async || {
+            let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();
+            let connection = connecting.await.unwrap();
+            let (mut send, _recv) = connection.open_bi().await.unwrap();
+            send.write_all(&hello).await.unwrap();
+            send.finish().unwrap();
+            let told = connection.closed().await;
+            accept(&listener).await.unwrap_err();
+            told
+        };
+        let (code, reason) = closed(told).await;
         assert_eq!(code, CloseCode::Malformed, "{reason}");
         assert!(reason.contains(expected), "{reason} does not contain {expected}");
-        accept(&listener).await.unwrap_err();
     }
 }
 
@@ -438,9 +446,15 @@ async fn accept(listener: &Port) -> Result<Link, LinkError> {
     tokio::time::timeout(Duration::from_secs(10), listener.accept()).await.expect("a handshake in time").unwrap()
 }
 
-/// Returns the code and the reason with which the other side closed a connection.
-fn closed(error: quinn::ConnectionError) -> (CloseCode, String) {
-    let quinn::ConnectionError::ApplicationClosed(close) = error else { panic!("{error}") };
+/// Returns the code and the reason with which the other side closes a connection. On a busy machine
+/// QUIC may report a stateless reset instead (see `still_lost` of a node). Then it tries again.
+async fn closed(attempt: impl AsyncFn() -> quinn::ConnectionError) -> (CloseCode, String) {
+    let close = loop {
+        match attempt().await {
+            quinn::ConnectionError::ApplicationClosed(close) => break close,
+            error => assert_eq!(error, quinn::ConnectionError::Reset),
+        }
+    };
     let codes = [
         CloseCode::Ended,
         CloseCode::Version,

@@ -193,8 +193,23 @@ impl Kinds for Peers {
 /// Returns the kinds that the examples must show.
 pub fn all_kinds() -> Vec<&'static str> {
     let all = [
-        REQUESTS, ENTITY_REQUESTS, RESPONSES, CODES, TIER_LEGS, TIER_REQUESTS, TIER_RESPONSES, TIER_ENTRIES, TIER_KEYS,
-        EXTENTS, PEERS_EXTENTS, ROLES, CREDENTIALS, TRACE_LEGS, CROSSINGS, INSPECTIONS, INSPECTED,
+        REQUESTS,
+        ENTITY_REQUESTS,
+        RESPONSES,
+        CODES,
+        TIER_LEGS,
+        TIER_REQUESTS,
+        TIER_RESPONSES,
+        TIER_ENTRIES,
+        TIER_KEYS,
+        EXTENTS,
+        PEERS_EXTENTS,
+        ROLES,
+        CREDENTIALS,
+        TRACE_LEGS,
+        CROSSINGS,
+        INSPECTIONS,
+        INSPECTED,
     ];
     all.concat()
 }
@@ -339,10 +354,22 @@ pub fn responses(parties: &Parties) -> Vec<Response> {
     let (switch, domain) = (parties.switch.name(), parties.away.name());
     let tier = |response| Response::Tier(Box::new(response));
     let codes = [
-        RefusalCode::Malformed, RefusalCode::NotAttached, RefusalCode::BadSignature, RefusalCode::WrongName,
-        RefusalCode::WrongEntity, RefusalCode::WrongSwitch, RefusalCode::NotYetValid, RefusalCode::Expired,
-        RefusalCode::Revoked, RefusalCode::NotEntitled, RefusalCode::ReplayedSerial, RefusalCode::NotFound,
-        RefusalCode::Limit, RefusalCode::Unreachable, RefusalCode::Unsupported, RefusalCode::Fenced,
+        RefusalCode::Malformed,
+        RefusalCode::NotAttached,
+        RefusalCode::BadSignature,
+        RefusalCode::WrongName,
+        RefusalCode::WrongEntity,
+        RefusalCode::WrongSwitch,
+        RefusalCode::NotYetValid,
+        RefusalCode::Expired,
+        RefusalCode::Revoked,
+        RefusalCode::NotEntitled,
+        RefusalCode::ReplayedSerial,
+        RefusalCode::NotFound,
+        RefusalCode::Limit,
+        RefusalCode::Unreachable,
+        RefusalCode::Unsupported,
+        RefusalCode::Fenced,
     ];
     let crossed = |crossing| TracedDomain { depth: 1, domain, entry: switch, rtt_us: Some(900), crossing };
     let switches = vec![TracedSwitch { hop: 1, switch: None, rtt_us: None }];
