@@ -8,6 +8,7 @@
 //! other side answers with its own. A peer's name is derived from the key it proved in TLS and the
 //! digest in its hello. The peer therefore cannot claim another entity's name.
 
+mod close_code;
 mod error;
 mod hello;
 mod ids;
@@ -23,6 +24,7 @@ mod timing;
 mod tls;
 mod version;
 
+pub use crate::link::close_code::CloseCode;
 pub use crate::link::error::LinkError;
 pub(crate) use crate::link::error::close_reason;
 pub(crate) use crate::link::location::LinkLocation;
@@ -297,10 +299,15 @@ impl Link {
         matches!(self.0.connection.close_reason(), Some(TimedOut | Reset))
     }
 
-    /// Closes the link and sends the reason to the peer.
+    /// Closes the link without a fault of the peer, and sends the reason to it.
     pub fn close(&self, reason: &str) {
+        self.refuse(CloseCode::Ended, reason);
+    }
+
+    /// Closes the link with a code for the peer's program and a reason for people.
+    pub fn refuse(&self, code: CloseCode, reason: &str) {
         let _ = self.0.closed_for.set(reason.into());
-        self.0.connection.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+        self.0.connection.close(code.into(), reason.as_bytes());
     }
 
     /// Returns the round-trip time of the control connection.
@@ -312,7 +319,7 @@ impl Link {
 impl Drop for Inner {
     fn drop(&mut self) {
         self.streams.abort();
-        self.connection.close(quinn::VarInt::from_u32(0), b"no longer in use");
+        self.connection.close(CloseCode::Ended.into(), b"no longer in use");
     }
 }
 

@@ -36,8 +36,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::link;
 use crate::link::{
-    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicConfigs, QuicMtu, RekeySchedule,
-    Versions, greet_as_client, greet_as_server,
+    CloseCode, HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicConfigs, QuicMtu,
+    RekeySchedule, Versions, greet_as_client, greet_as_server,
 };
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::identity::Identity;
@@ -354,7 +354,7 @@ impl Port {
 
     /// Closes all links with this reason, and waits at most 1 s for the close messages.
     pub async fn close(&self, reason: &str) {
-        self.endpoint.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+        self.endpoint.close(CloseCode::Ended.into(), reason.as_bytes());
         let _ = timeout(Duration::from_secs(1), self.endpoint.wait_idle()).await;
     }
 }
@@ -364,7 +364,7 @@ impl Drop for Port {
         if let Some(acceptor) = &self.acceptor {
             acceptor.abort();
         }
-        self.endpoint.close(quinn::VarInt::from_u32(0), b"port closed");
+        self.endpoint.close(CloseCode::Ended.into(), b"port closed");
     }
 }
 

@@ -17,7 +17,7 @@ use super::network::{Network, NetworkPath, until_led};
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::Role;
-use gdp_link::link::{Link, LinkError, RekeySchedule};
+use gdp_link::link::{CloseCode, Link, LinkError, RekeySchedule};
 use gdp_link::port::{Interface, LinkAddr, Port, PortConfig, interface_index};
 use gdp_link::tunnel::Tunnel;
 
@@ -167,11 +167,14 @@ impl Dialler {
                 Ok(link) if link.peer().role == Role::Switch => match self.home.admit(&link) {
                     Ok(_) => return Ok(link),
                     Err(error) => {
-                        link.close(&error.to_string());
+                        link.refuse(CloseCode::NotAdmitted, &error.to_string());
                         failure = Some(error.into());
                     }
                 },
-                Ok(_) => failure = Some(NodeError::NotASwitch(*to)),
+                Ok(link) => {
+                    link.refuse(CloseCode::WrongPeer, "a switch was expected");
+                    failure = Some(NodeError::NotASwitch(*to));
+                }
                 Err(error) => failure = Some(error.into()),
             }
         }

@@ -14,7 +14,7 @@ use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::peer::Role;
 use gdp_core::revocations::SignedRevocation;
-use gdp_link::link::Link;
+use gdp_link::link::{CloseCode, Link};
 use gdp_util::ticks::next_tick;
 use gdp_util::unix_time::unix_seconds;
 
@@ -114,7 +114,7 @@ impl Home {
                 changes.mark_unchanged();
                 match self.admit(link) {
                     Ok(admission) => until = admission.until,
-                    Err(error) => return link.close(&error.to_string()),
+                    Err(error) => return link.refuse(CloseCode::NotAdmitted, &error.to_string()),
                 }
             }
             // The sender lives as long as this.

@@ -11,7 +11,7 @@ use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::name::NameProof;
 use gdp_core::revocations::SignedRevocation;
-use gdp_link::link::Link;
+use gdp_link::link::{CloseCode, Link};
 use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::ticks::next_tick;
@@ -84,7 +84,7 @@ fn recheck_links(daemon: &Arc<Daemon>, only_ended: bool) {
     let (refused, lost) = daemon.core().recheck(only_ended);
     for (link, reason) in refused {
         tracing::warn!(peer = %format_args!("{:#}", link.peer().name), %reason, "closing a link");
-        link.close(&reason);
+        link.refuse(CloseCode::NotAdmitted, &reason);
     }
     for entity in lost {
         daemon.spawn(detach_lost(daemon.clone(), entity));

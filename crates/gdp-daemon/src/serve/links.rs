@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use gdp_core::peer::Role;
-use gdp_link::link::{Link, LinkKeys, Responder};
+use gdp_link::link::{CloseCode, Link, LinkKeys, Responder};
 use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 
 use super::core::relay::relayed;
@@ -22,38 +22,38 @@ const ANSWER: Duration = Duration::from_millis(200);
 /// Takes a new link into service, or closes it with the reason if its peer may not have it. Waits
 /// for the RIB and for another program with the same key, and only if [`must_ask`] returns true.
 pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), String> {
-    let refuse = |reason: String| {
-        link.close(&reason);
+    let refuse = |code, reason: String| {
+        link.refuse(code, &reason);
         Err(reason)
     };
     let (peer, switch) = (link.peer().name, link.peer().role == Role::Switch);
     let admitted = daemon.core().admit(&link, &via);
-    if let Err(reason) = admitted {
-        return refuse(reason);
+    if let Err((code, reason)) = admitted {
+        return refuse(code, reason);
     }
     if let Some(question) = question(daemon, &link)
         && let Err(refusal) = domain::ask_admitted(daemon, question).await
     {
-        return refuse(refusal.reason);
+        return refuse(CloseCode::NotAdmitted, refusal.reason);
     }
     if let Some(reason) = used_elsewhere(daemon, &link).await {
-        return refuse(reason);
+        return refuse(CloseCode::KeyInUse, reason);
     }
     // Check again, because a revocation may have arrived in the meantime.
     let admitted = daemon.core().admit(&link, &via);
     let admission = match admitted {
         Ok(admission) => admission,
-        Err(reason) => return refuse(reason),
+        Err((code, reason)) => return refuse(code, reason),
     };
     if daemon.is_stopping() {
-        return refuse("shutting down".into());
+        return refuse(CloseCode::Ended, "shutting down".into());
     }
     let relationship = admission.relationship.as_str();
     let replaced = match daemon.core().link_up(&link, via.clone(), admission) {
         Ok(replaced) => replaced,
         Err(error) => {
             tracing::error!(%error, "the data plane did not take a link");
-            return refuse("the data plane of the switch is full".into());
+            return refuse(CloseCode::Full, "the data plane of the switch is full".into());
         }
     };
     if let Some(replaced) = replaced {

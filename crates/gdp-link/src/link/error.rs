@@ -1,5 +1,6 @@
 //! Errors of links: a link could not be made, or a request on it failed.
 
+use crate::link::close_code::CloseCode;
 use crate::link::timing::IDLE_TIMEOUT;
 use crate::link::version::Versions;
 
@@ -35,6 +36,21 @@ pub enum LinkError {
     Codec(#[from] CodecError),
     #[error("the peer broke the protocol: {0}")]
     Protocol(String),
+}
+
+impl LinkError {
+    /// Returns the code and the reason with which this side refuses a link during the exchange of
+    /// hellos. `None` if the connection has ended already.
+    pub(super) fn refusal(&self) -> Option<(CloseCode, String)> {
+        match self {
+            Self::WrongPeer { .. } => Some((CloseCode::WrongPeer, "another peer was expected".into())),
+            Self::NoFreeId => Some((CloseCode::Full, self.to_string())),
+            Self::Codec(error) => Some((CloseCode::Malformed, error.to_string())),
+            Self::Protocol(reason) | Self::Handshake(reason) => Some((CloseCode::Malformed, reason.clone())),
+            Self::Timeout { .. } => Some((CloseCode::Timeout, self.to_string())),
+            Self::OldVersion { .. } | Self::Closed(_) | Self::Reset | Self::Io { .. } => None,
+        }
+    }
 }
 
 impl From<quinn::ConnectionError> for LinkError {

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::ids::{LinkId, LinkIds};
 use super::negotiation::negotiated;
 use super::{Link, RekeySchedule, Versions, streams, tls};
+use crate::link::close_code::CloseCode;
 use crate::link::error::LinkError;
 use crate::link::location::{LinkLocation, PairEnd};
 use crate::port::CurrentPair;
@@ -31,6 +32,9 @@ const MAX_MTU: u32 = Header::LEN as u32 + u16::MAX as u32;
 
 /// Smallest MTU of a usable link, in bytes.
 pub const MIN_MTU: u32 = 512;
+
+/// Reason of a close if the exchange took too long, or newer handshakes displaced it.
+const ABANDONED: &[u8] = b"the hellos were not exchanged in time; try again";
 
 /// Fields that this version does not know are skipped. What a peer must not skip needs another
 /// version.
@@ -91,14 +95,15 @@ pub struct HelloConfig {
 /// must have, if given.
 ///
 /// A peer that refuses the link may close it before this side has read the hello. The error then
-/// contains the peer's reason.
+/// contains the peer's reason. If this side refuses the link, it closes the connection with a
+/// [code](CloseCode) and a reason.
 pub async fn greet_as_client(
     connection: Connection,
     location: LinkLocation,
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
-    let greeted = say_and_hear(connection.clone(), location, config, expected).await;
+    let greeted = greet(&connection, say_and_hear(connection.clone(), location, config, expected)).await;
     greeted.map_err(|error| match (error, connection.close_reason()) {
         (LinkError::Closed(_), Some(reason)) => reason.into(),
         (error, _) => error,
@@ -122,7 +127,6 @@ async fn say_and_hear(
     if let Some(expected) = expected
         && expected != peer.name
     {
-        connection.close(quinn::VarInt::from_u32(0), b"another peer was expected");
         return Err(LinkError::WrongPeer { expected, found: peer.name });
     }
     let location = match peer_end.frames_at {
@@ -134,13 +138,44 @@ async fn say_and_hear(
     Link::new(connection, location, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
-/// Answers the hello of a connection that the peer dialled. This side allocates no link id before
-/// the peer has proved its name.
+/// Answers the hello of a connection that the peer dialled, or closes it with a
+/// [code](CloseCode) and a reason.
 pub async fn greet_as_server(
     connection: Connection,
     location: LinkLocation,
     config: &HelloConfig,
 ) -> Result<Link, LinkError> {
+    greet(&connection, hear_and_say(connection.clone(), location, config)).await
+}
+
+/// Runs the exchange of hellos. Closes the connection with the reason if this side refuses the
+/// link.
+async fn greet(
+    connection: &Connection,
+    exchange: impl Future<Output = Result<Link, LinkError>>,
+) -> Result<Link, LinkError> {
+    let mut unfinished = Unfinished(Some(connection.clone()));
+    let greeted = exchange.await;
+    unfinished.0 = None;
+    if let Some((code, reason)) = greeted.as_ref().err().and_then(LinkError::refusal) {
+        connection.close(code.into(), reason.as_bytes());
+    }
+    greeted
+}
+
+/// Connection of an exchange that its caller may abandon.
+struct Unfinished(Option<Connection>);
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if let Some(connection) = self.0.take() {
+            connection.close(CloseCode::Timeout.into(), ABANDONED);
+        }
+    }
+}
+
+/// This side allocates no link id before the peer has proved its name.
+async fn hear_and_say(connection: Connection, location: LinkLocation, config: &HelloConfig) -> Result<Link, LinkError> {
     negotiated(config.versions, &connection)?;
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
@@ -206,3 +241,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), run, credentials };
     Ok((Peer { name, proof, key, role, lane }, end))
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/link/hello.rs"]
+mod tests;

@@ -1,8 +1,9 @@
 //! The version that the handshake of a link has negotiated.
 
+use quinn::Connection;
 use quinn::crypto::rustls::HandshakeData;
-use quinn::{Connection, VarInt};
 
+use crate::link::close_code::CloseCode;
 use crate::link::error::LinkError;
 use crate::link::version::Versions;
 
@@ -20,6 +21,6 @@ pub fn negotiated(spoken: Versions, connection: &Connection) -> Result<u8, LinkE
         "gdp/{version} is the newest version that both sides know, and the other side speaks gdp/{oldest} to \
          gdp/{newest} only; upgrade this side"
     );
-    connection.close(VarInt::from_u32(0), reason.as_bytes());
+    connection.close(CloseCode::Version.into(), reason.as_bytes());
     Err(LinkError::OldVersion { theirs: version, oldest, newest })
 }

@@ -15,6 +15,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use super::*;
 use crate::port::{InFrame, OutFrame, Port, PortConfig, RecvBatch};
+use gdp_core::cbor::Value;
 use gdp_core::identity::Identity;
 use gdp_proto::control;
 use gdp_proto::control::{EntityRequest, RefusalCode};
@@ -67,6 +68,11 @@ async fn every_link_has_keys_and_ids_of_its_own() {
 async fn another_peer_than_expected_is_refused() {
     let (switch, other) = (identity("switch"), identity("switch"));
     let (listener, dialler) = (listen(&switch), open(&identity("proxy")));
+    let told = async || {
+        let (_, refused) = tokio::join!(dialler.dial(addr_of(&listener), Some(other.name())), accept(&listener));
+        refused.unwrap().0.connection.closed().await
+    };
+    assert_eq!(closed(told).await, (CloseCode::WrongPeer, "another peer was expected".into()));
     let error = dialler.dial(addr_of(&listener), Some(other.name())).await.unwrap_err();
     assert!(
         matches!(error, LinkError::WrongPeer { expected, found } if expected == other.name() && found == switch.name())
@@ -148,9 +154,13 @@ async fn silent_peers_hold_up_nobody_else() {
     let dialler = open(&identity("proxy"));
     link(&dialler, &listener).await;
     assert!(silent.iter().all(|connection| connection.close_reason().is_none()), "it waited for their end");
+    let mut timed_out = 0;
     for connection in silent {
-        connection.closed().await;
+        let quinn::ConnectionError::ApplicationClosed(close) = connection.closed().await else { continue };
+        assert_eq!(close.error_code, CloseCode::Timeout.into());
+        timed_out += 1;
     }
+    assert!(timed_out > 0, "all were reset");
     let refused = accept(&listener).await.unwrap_err();
     assert!(matches!(refused, LinkError::Timeout { .. }), "{refused}");
 }
@@ -160,14 +170,41 @@ async fn hellos_are_bounded_and_checked() {
     let listener = listen(&identity("switch"));
     let client = QuicConfigs::new(identity("proxy").key(), Versions::SPOKEN, true).unwrap().client(MTU);
     let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
-    for hello in [&[0xff; 4][..], &[0, 0, 8, 0], &[0, 0, 0, 3, 1, 2, 3], &[0, 0, 0, 9, 1]] {
-        let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();
-        let connection = connecting.await.unwrap();
-        let (mut send, _recv) = connection.open_bi().await.unwrap();
-        send.write_all(hello).await.unwrap();
-        send.finish().unwrap();
-        connection.closed().await;
-        accept(&listener).await.unwrap_err();
+    let said = |key: &str, value: serde_json::Value| {
+        let mut hello = json!({
+            "role": "Endpoint", "digest": null, "link_id": 1, "lane": 0, "mtu": 1500, "zero_checksum": false,
+            "host": null, "frames_at": null, "run": null, "papers": null,
+        });
+        hello[key] = value;
+        let Ok(Value::Map(mut fields)) = Value::serialized(&hello) else { panic!("a map") };
+        let digest = fields.iter_mut().find(|(field, _)| field.as_text() == Some("digest")).unwrap();
+        digest.1 = Value::Bytes(vec![0; 32]);
+        control::encode(&Value::Map(fields)).unwrap()
+    };
+    for (hello, expected) in [
+        (vec![0xff; 4], "exceeds the limit of 65536"),
+        (vec![0, 0, 0xff, 0], "65280 bytes where at most 13312 are expected"),
+        (vec![0, 0, 8, 0], "ends too early"),
+        (vec![0, 0, 0, 3, 1, 2, 3], "not a control message"),
+        (vec![0, 0, 0, 9, 1], "ends too early"),
+        (said("link_id", 0.into()), "0 is no link id"),
+        (said("lane", 4.into()), "4 is no number of a link"),
+        (said("mtu", 511.into()), "an MTU of 511 bytes, not 512 to 65631"),
+        (said("role", "Broker".into()), "Broker is of a later release"),
+    ] {
+        let told = async || {
+            let connecting = endpoint.connect_with(client.clone(), listener.udp_addr().unwrap(), SERVER_NAME).unwrap();
+            let connection = connecting.await.unwrap();
+            let (mut send, _recv) = connection.open_bi().await.unwrap();
+            send.write_all(&hello).await.unwrap();
+            send.finish().unwrap();
+            let told = connection.closed().await;
+            accept(&listener).await.unwrap_err();
+            told
+        };
+        let (code, reason) = closed(told).await;
+        assert_eq!(code, CloseCode::Malformed, "{reason}");
+        assert!(reason.contains(expected), "{reason} does not contain {expected}");
     }
 }
 
@@ -407,6 +444,29 @@ async fn link(dialler: &Port, listener: &Port) -> (Link, Link) {
 
 async fn accept(listener: &Port) -> Result<Link, LinkError> {
     tokio::time::timeout(Duration::from_secs(10), listener.accept()).await.expect("a handshake in time").unwrap()
+}
+
+/// Returns the code and the reason with which the other side closes a connection. On a busy machine
+/// QUIC may report a stateless reset instead (see `still_lost` of a node). Then it tries again.
+async fn closed(attempt: impl AsyncFn() -> quinn::ConnectionError) -> (CloseCode, String) {
+    let close = loop {
+        match attempt().await {
+            quinn::ConnectionError::ApplicationClosed(close) => break close,
+            error => assert_eq!(error, quinn::ConnectionError::Reset),
+        }
+    };
+    let codes = [
+        CloseCode::Ended,
+        CloseCode::Version,
+        CloseCode::Malformed,
+        CloseCode::WrongPeer,
+        CloseCode::Timeout,
+        CloseCode::Full,
+        CloseCode::NotAdmitted,
+        CloseCode::KeyInUse,
+    ];
+    let code = codes.into_iter().find(|code| VarInt::from(*code) == close.error_code).expect("a known code");
+    (code, String::from_utf8(close.reason.to_vec()).unwrap())
 }
 
 async fn answer_all(link: &Link) {

@@ -1,3 +1,6 @@
+#[path = "../../../gdp-core/tests/unit/published_schema.rs"]
+mod schema;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -7,6 +10,7 @@ use gdp_wire::Name;
 
 use super::outgoing::Announcement;
 use super::*;
+use crate::call;
 
 const RELIABLE: Offer = Offer::DEFAULT;
 /// The full name of the publishers' node.
@@ -48,6 +52,27 @@ fn body(announcement: Option<Announcement>) -> Vec<u8> {
 fn joined(number: u32, offers: Offer, definition: Option<&str>) -> Change {
     let definition = definition.map(Arc::from);
     Change::Joined { writer: name(1), number, kind: kind(), definition, node: NODE.into(), offers }
+}
+
+#[test]
+fn lists_and_descriptions_have_the_published_schema() {
+    let mut out = Outgoing::new(kind(), Some("string data".into()));
+    out.joined('a', NODE, RELIABLE);
+    out.joined('b', "", LATCHED);
+    let list = body(out.poll(Instant::now()).unwrap());
+    schema::check("publisher-list", &list).unwrap();
+    schema::check("publisher-list", &brief_of(&list)).unwrap();
+    let ros1 = Kind { dialect: Dialect::Ros1, name: "std_msgs/String".into(), hash: vec![] };
+    schema::check("publisher-list", &body(Outgoing::<char>::new(ros1, None).poll(Instant::now()).unwrap())).unwrap();
+    let definitions = call::Definitions { request: "int64 a".into(), response: String::new() };
+    for definitions in [None, Some(definitions)] {
+        let described = call::Description { kind: kind(), node: NODE.into(), definitions };
+        let reply = call::Reply::Description(call::Epoch(7), described).to_bytes().unwrap();
+        schema::check("description", &reply[10..]).unwrap();
+    }
+    let long = Kind { hash: vec![0; 33], ..kind() };
+    let list = body(Outgoing::<char>::new(long, None).poll(Instant::now()).unwrap());
+    schema::check("publisher-list", &list).unwrap_err();
 }
 
 #[test]

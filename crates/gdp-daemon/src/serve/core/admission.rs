@@ -2,7 +2,7 @@
 
 use gdp_core::peer::Role;
 use gdp_dataplane::PlaneError;
-use gdp_link::link::Link;
+use gdp_link::link::{CloseCode, Link};
 use gdp_proto::control::Request;
 use gdp_util::unix_time::unix_seconds;
 use gdp_wire::{LinkRole, Name};
@@ -13,16 +13,21 @@ use crate::domain::{Admission, Credentials};
 
 impl Core {
     /// Returns the relationship under which a peer gets a link on its incoming path. Fails with the
-    /// reason if it gets none.
-    pub fn admit(&self, link: &Link, via: &Via) -> Result<Admission, String> {
+    /// code and the reason if it gets none.
+    pub fn admit(&self, link: &Link, via: &Via) -> Result<Admission, (CloseCode, String)> {
         let peer = link.peer();
         if peer.name == self.name() {
-            return Err(format!("the peer has the key of this switch, {}: give each a key of its own", peer.name));
+            let reason = format!("the peer has the key of this switch, {}: give each a key of its own", peer.name);
+            return Err((CloseCode::KeyInUse, reason));
         }
-        let admission = self.membership.admit(link, link.credentials().as_deref())?;
+        let not_admitted = |reason| (CloseCode::NotAdmitted, reason);
+        let admission = self.membership.admit(link, link.credentials().as_deref()).map_err(not_admitted)?;
         match peer.role {
-            Role::Endpoint => self.switch.check_room()?,
-            Role::Switch => self.neighbours.check(peer, via, &self.switch, self.membership.domain.is_some())?,
+            Role::Endpoint => self.switch.check_room().map_err(|reason| (CloseCode::Full, reason))?,
+            Role::Switch => {
+                let has_domain = self.membership.domain.is_some();
+                self.neighbours.check(peer, via, &self.switch, has_domain).map_err(not_admitted)?;
+            }
         }
         Ok(admission)
     }

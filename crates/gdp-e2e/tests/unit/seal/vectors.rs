@@ -179,8 +179,9 @@ fn vectors_of_segments() {
     check(
         "segment.json",
         &json!({
-            "about": "sealed by a new session; the signing key is the P-256 private key 0x0101...01 with RFC 6979 \
-             nonces",
+            "about": "each vector is the begin of a session of its own. For these vectors alone all have the same \
+             identifier and key; a writer never uses a session's sequence and cut for two messages. The signing key \
+             is the P-256 private key 0x0101...01, with RFC 6979 nonces",
             "name": name,
             "writer": writer_name,
             "session": hex::encode(session),

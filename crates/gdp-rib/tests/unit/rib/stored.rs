@@ -1,5 +1,8 @@
 //! What a RIB takes back of what is stored, and what it does not.
 
+#[path = "../../../../gdp-core/tests/unit/published_schema.rs"]
+mod schema;
+
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -75,6 +78,31 @@ fn what_has_ended_meanwhile_is_left_out() {
     w.pass(Duration::from_secs(60));
     take_over(&mut w, 2);
     assert_eq!(w.rib.stored(w.now, &place), Some(before));
+}
+
+#[test]
+fn items_have_the_published_schema() {
+    let (mut w, _, _) = talking();
+    w.revoke(1, 0, &[12345]);
+    w.store();
+    let mut seen = BTreeSet::new();
+    for (item, bytes) in &w.stored {
+        let rule = match item {
+            Item::Floor => "item-floor",
+            Item::Switch(_) => "item-switch",
+            Item::Revocation(_) => "item-revocation",
+            Item::Invitation(_) => "item-invitation",
+            Item::Entity(_) => "item-entity",
+            Item::Registration(_) => "item-registration",
+            Item::KeyBox { .. } => "item-box",
+        };
+        schema::check(rule, bytes).unwrap_or_else(|error| panic!("{item}: {error}"));
+        seen.insert(rule);
+    }
+    assert_eq!(seen.len(), 5, "{seen:?}");
+    let floor = encode_item(&7u64).unwrap();
+    schema::check("item-floor", &floor).unwrap();
+    schema::check("item-switch", &encode_item(&64u8).unwrap()).unwrap_err();
 }
 
 #[test]
