@@ -7,11 +7,10 @@ use crate::file_kind::FileKind;
 use crate::name::{Metadata, Name, NameProof};
 use crate::verify_key::VerifyKey;
 use crate::{crypto, name};
+use gdp_util::os;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::fmt;
-use std::fs::OpenOptions;
 use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 const VERSION: u32 = 1;
@@ -149,7 +148,7 @@ impl NameCard {
     pub fn load(path: &Path) -> Result<Self, CardError> {
         let io = |action| move |source| CardError::Io { path: path.into(), action, source };
         let mut text = String::new();
-        let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
+        let file = os::open_for_reading(path).map_err(io("open"))?;
         file.take(MAX_FILE as u64 + 1).read_to_string(&mut text).map_err(io("read"))?;
         if text.len() > MAX_FILE {
             return Err(CardError::TooLong(path.into()));
@@ -164,17 +163,9 @@ impl NameCard {
     /// Writes a new file that only its owner can read, because the card reveals the topic. Never
     /// overwrites an existing file.
     pub fn save_new(&self, path: &Path) -> Result<(), CardError> {
-        let mut file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .mode(0o600)
-            .open(path)
-            .map_err(|source| CardError::Io { path: path.into(), action: "create", source })?;
-        file.write_all(self.to_json().as_bytes()).map_err(|source| CardError::Io {
-            path: path.into(),
-            action: "write",
-            source,
-        })
+        let io = |action| move |source| CardError::Io { path: path.into(), action, source };
+        let mut file = os::create_private(path).map_err(io("create"))?;
+        file.write_all(self.to_json().as_bytes()).map_err(io("write"))
     }
 }
 

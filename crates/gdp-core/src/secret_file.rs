@@ -2,10 +2,12 @@
 //! a wider mode. They belong to the owner of the folder, if root creates them. A file that others
 //! than the owner can access is refused. They hold private keys and the command line's state of a
 //! name; the caller defines the content.
+//!
+//! Windows has no modes: who can read a file there depends on its folder, and is not checked.
 
-use std::fs::{self, File, OpenOptions};
+use gdp_util::os;
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
@@ -54,8 +56,7 @@ pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     with_temporary(path, content, |temporary| {
         fs::rename(temporary, path).map_err(io("replace"))?;
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("keep"))
+        os::sync_folder(folder_of(path)).map_err(io("keep"))
     })
 }
 
@@ -70,7 +71,7 @@ fn with_temporary(
     file_name.push(format!(".{}.tmp", hex::encode(suffix)));
     let temporary = path.with_file_name(file_name);
 
-    let written = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&temporary).and_then(|mut file| {
+    let written = os::create_private(&temporary).and_then(|mut file| {
         give_to_owner_of_folder(&file, path)?;
         file.write_all(content).and_then(|()| file.sync_all())
     });
@@ -90,12 +91,11 @@ fn give_to_owner_of_folder(file: &File, path: &Path) -> io::Result<()> {
     if OF_ROOT.iter().any(|name| path.file_name() == Some(name.as_ref())) {
         return Ok(());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let (own, above) = (file.metadata()?, folder.metadata()?);
-    match own.uid() == 0 && above.uid() != 0 {
-        true => fchown(file, Some(above.uid()), Some(above.gid())),
-        false => Ok(()),
-    }
+    os::give_to_owner_of(folder_of(path), file)
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Returns the contents of a file as [`read`] does, or `None` if it does not exist.
@@ -110,8 +110,7 @@ pub fn read_optional(path: &Path, max: usize) -> Result<Option<Zeroizing<Vec<u8>
 /// target.
 pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
-    // Without O_NONBLOCK, opening a FIFO would wait for a writer.
-    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
+    let file = os::open_for_reading(path).map_err(io("open"))?;
     check(path, &file)?;
     let mut content = Zeroizing::new(Vec::with_capacity(max + 1));
     file.take(max as u64 + 1).read_to_end(&mut content).map_err(io("read"))?;
@@ -128,11 +127,10 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
     if !metadata.is_file() {
         return Err(SecretFileError::NotAFile(path.into()));
     }
-    let mode = metadata.permissions().mode() & 0o7777;
-    if mode & 0o077 != 0 {
-        return Err(SecretFileError::TooOpen { path: path.into(), mode });
+    match os::mode(&metadata) {
+        Some(mode) if mode & 0o077 != 0 => Err(SecretFileError::TooOpen { path: path.into(), mode }),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 #[cfg(test)]

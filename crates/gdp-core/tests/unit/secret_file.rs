@@ -1,7 +1,7 @@
 //! Unit tests of `secret_file`.
 
 use super::*;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
 #[test]
 fn created_files_are_private_and_complete_and_never_overwritten() {

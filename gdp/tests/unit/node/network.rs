@@ -2,6 +2,7 @@
 
 use netlink_packet_core::ErrorMessage;
 
+use super::super::{BETWEEN, until_led};
 use super::*;
 
 #[test]
