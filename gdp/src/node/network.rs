@@ -29,6 +29,7 @@ pub const BETWEEN: Duration = Duration::from_millis(5);
 
 /// The path from this machine to an address, as far as the kernel reports it.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "only Linux says how an address is reached"))]
 pub enum NetworkPath {
     By(Exit),
     /// There is no path.
