@@ -3,8 +3,8 @@
 //!
 //! On Linux, one task watches the files' folders by inotify, so it also detects a replacement by
 //! `rename`. It also polls every file, because a bind mount, a network file system or a link into
-//! another folder sends no event. Events of other files in these folders do not count: programs also
-//! write there. Other systems only poll.
+//! another folder sends no event. Events of other files in these folders do not count: programs
+//! also write there. Other systems only poll.
 
 #[cfg(target_os = "linux")]
 mod inotify;

@@ -6,6 +6,7 @@ use std::process::Command;
 use gdp::{Identity, NameCard, SigningKey};
 use gdp_daemon::config::Config;
 use gdp_daemon::serve::{Running, start};
+use gdp_tests::Tools;
 use gdp_tests::programs::own;
 
 pub struct Site {
@@ -26,7 +27,7 @@ impl Site {
         let (key, any_port) = (folder.path().join("switch.pem"), "127.0.0.1:0".parse().unwrap());
         let config = Config { rib: true, fib_capacity: 1024, ..Config::userspace(key, any_port) };
         let daemon = start(config).await.unwrap();
-        package(&folder.path().join("packages/gdp"));
+        Tools::beside_this_test().unwrap().install_python_sdk(&folder.path().join("packages")).unwrap();
         Self { folder, daemon, owner: SigningKey::generate().unwrap() }
     }
 
@@ -73,17 +74,6 @@ impl Site {
         command.env("PYTHONPATH", self.folder.path().join("packages")).env("PYTHONDONTWRITEBYTECODE", "1");
         command
     }
-}
-
-/// Makes the package as `pip` installs it.
-fn package(folder: &Path) {
-    std::fs::create_dir_all(folder).unwrap();
-    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/gdp");
-    for entry in std::fs::read_dir(python).unwrap().map(Result::unwrap).filter(|entry| entry.path().is_file()) {
-        std::fs::copy(entry.path(), folder.join(entry.file_name())).unwrap();
-    }
-    let extension = existing(profile().join("deps/libgdp_python.so"), "cargo test -p gdp-python");
-    std::fs::copy(extension, folder.join("_gdp.abi3.so")).unwrap();
 }
 
 /// Cargo's folder of this profile: this test is in `target/PROFILE/deps`.

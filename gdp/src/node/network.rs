@@ -16,9 +16,9 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 #[cfg(target_os = "linux")]
-pub use self::linux::Network;
+pub use self::linux::HostNetwork;
 #[cfg(not(target_os = "linux"))]
-pub use self::other::Network;
+pub use self::other::HostNetwork;
 
 /// Delay before the next query after an error or a timeout.
 const ASK_AGAIN: Duration = Duration::from_secs(1);

@@ -85,8 +85,8 @@ impl FrameQueue {
     }
 }
 
-/// Returns the offset and length of each datagram of a run that the kernel joined. All have the same
-/// length, except that the last may be shorter.
+/// Returns the offset and length of each datagram of a run that the kernel joined. All have the
+/// same length, except that the last may be shorter.
 pub fn segments(length: usize, segment: usize) -> impl Iterator<Item = (usize, usize)> {
     let segment = segment.max(1);
     (0..length).step_by(segment).map(move |at| (at, segment.min(length - at)))

@@ -1,5 +1,6 @@
-//! What differs between operating systems about files and users. Unix has modes and owners of files;
-//! elsewhere none of these is checked or set.
+//! What differs between operating systems about files and users.
+//!
+//! Unix has modes and owners of files. Elsewhere none of these is checked or set.
 
 #[cfg(not(unix))]
 mod other;

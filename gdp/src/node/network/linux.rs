@@ -33,14 +33,14 @@ const GROUPS: [MulticastGroup; 5] = [
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The network of this machine, in the network namespace of the runtime when it was opened.
-pub struct Network {
+pub struct HostNetwork {
     handle: Handle,
     carriers: Arc<Mutex<Carriers>>,
     changes: watch::Receiver<()>,
     _tasks: [AbortOnDrop; 2],
 }
 
-impl Network {
+impl HostNetwork {
     /// Starts to listen for notifications, each of which notifies the receivers of `told`. Call
     /// within a tokio runtime.
     pub fn open(told: watch::Sender<()>) -> std::io::Result<Self> {

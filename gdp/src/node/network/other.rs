@@ -8,9 +8,9 @@ use tokio::sync::watch;
 use super::NetworkPath;
 
 /// The network of this machine, of which there is none to ask.
-pub enum Network {}
+pub enum HostNetwork {}
 
-impl Network {
+impl HostNetwork {
     pub fn open(_: watch::Sender<()>) -> io::Result<Self> {
         Err(io::Error::new(io::ErrorKind::Unsupported, "only Linux is asked"))
     }
