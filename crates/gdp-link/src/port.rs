@@ -15,7 +15,7 @@ mod interface;
 #[cfg(target_os = "linux")]
 mod linux;
 #[cfg(any(test, not(target_os = "linux")))]
-#[cfg_attr(target_os = "linux", allow(dead_code, reason = "Linux has it for its tests"))]
+#[cfg_attr(target_os = "linux", allow(dead_code, unused_imports, reason = "Linux has it for its tests"))]
 mod portable;
 
 #[cfg(target_os = "linux")]
