@@ -23,8 +23,8 @@ use gdp_core::secret_file;
 use gdp_directory::messages::{Application, Approval, Join, JoinReply, JoinRequest, OfferedCatalog};
 use gdp_directory::{JOIN, SERVER, directory_card, fingerprint, join_card};
 use gdp_util::escape::escape_json;
-use gdp_util::folders;
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
+use gdp_util::{folders, ownership};
 use gdp_wire::Name;
 
 use crate::config::Config;
@@ -138,7 +138,7 @@ impl Home {
                 self.config().display()
             );
         }
-        folders::create(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))
+        ownership::create(&self.folder).with_context(|| format!("cannot create {}", self.folder.display()))
     }
 
     /// Asks to join until a person has decided, and returns the invitation.

@@ -77,6 +77,27 @@ impl Tools {
         existing(self.target.join("venv/bin/python"), "cargo xtask setup")
     }
 
+    /// Returns the path of the Python of the SDK's tests.
+    pub fn python_of_sdk(&self) -> Result<PathBuf> {
+        existing(self.target.join("venv-sdk/bin/python"), "cargo xtask setup")
+    }
+
+    /// Makes the package `gdp` for Python in a folder, as `pip` installs it.
+    pub fn install_python_sdk(&self, folder: &Path) -> Result<()> {
+        let package = folder.join("gdp");
+        std::fs::create_dir_all(&package)?;
+        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gdp-python/python/gdp");
+        for entry in std::fs::read_dir(sources)? {
+            let file = entry?.path();
+            if let (true, Some(name)) = (file.is_file(), file.file_name()) {
+                std::fs::copy(&file, package.join(name))?;
+            }
+        }
+        let extension = existing(self.executables.join("deps/libgdp_python.so"), "cargo xtask test")?;
+        std::fs::copy(extension, package.join("_gdp.abi3.so"))?;
+        Ok(())
+    }
+
     /// Returns the path of the Cyclone DDS peer, run by [`Tools::python`].
     pub fn cyclone(&self) -> PathBuf {
         self.peer("cyclone.py")

@@ -16,6 +16,7 @@ mod fuzz;
 mod package;
 mod pairings;
 mod peers;
+mod portable;
 mod reference;
 mod run;
 mod setup;

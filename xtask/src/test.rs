@@ -9,7 +9,7 @@ use gdp_tests::programs::Program;
 
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
-use crate::{build, peers, shell};
+use crate::{build, peers, portable, shell};
 
 #[derive(clap::Args, Default)]
 pub struct Options {
@@ -33,6 +33,9 @@ pub struct Options {
     /// Run the unit tests of wire format, certificates, sealing and RIB as on arm64, with qemu
     #[arg(long, conflicts_with_all = ["unit", "root", "no_root"])]
     arm64: bool,
+    /// Check that the SDK compiles for Windows and macOS, and run nothing
+    #[arg(long, conflicts_with_all = ["filter", "unit", "root", "no_root", "arm64"])]
+    portable: bool,
 }
 
 /// Runs the test of a rolling upgrade, from the executables in this folder to those of this source.
@@ -50,6 +53,10 @@ pub fn run(options: Options) -> Result<()> {
     if options.arm64 {
         setup::ensure(Purpose::Arm64)?;
         return shell::say_and_run(&mut arm64(&options));
+    }
+    if options.portable {
+        setup::ensure(Purpose::Portable)?;
+        return shell::say_and_run(&mut portable::command()?);
     }
     if !workspace::is_root() {
         // Skipped tests would look like success, above all in CI.
@@ -71,7 +78,7 @@ pub fn run(options: Options) -> Result<()> {
     // Cargo would choose other features for the dependencies, and recompile them all.
     let mut executables = shell::cargo();
     executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", workspace::FEATURES]);
-    shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
+    shell::say_and_run(executables.args(["--lib", "--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
     let networks = |threads: &str, choice: &[&str]| {
         let mut command = tests(&options);
         command.args(["--workspace", "--test", NETWORKS, "--", "--test-threads", threads]).args(choice);

@@ -7,12 +7,10 @@ use crate::file_kind::FileKind;
 use crate::name::{Metadata, Name, NameProof};
 use crate::verify_key::VerifyKey;
 use crate::{crypto, name};
-use gdp_util::text_file;
+use gdp_util::{os, text_file};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::fmt;
-use std::fs::OpenOptions;
 use std::io::{self, Write};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 const VERSION: u32 = 1;
@@ -166,17 +164,9 @@ impl NameCard {
     /// Writes a new file that only its owner can read, because the card reveals the topic. Never
     /// overwrites an existing file.
     pub fn save_new(&self, path: &Path) -> Result<(), CardError> {
-        let mut file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .mode(0o600)
-            .open(path)
-            .map_err(|source| CardError::Io { path: path.into(), action: "create", source })?;
-        file.write_all(self.to_json().as_bytes()).map_err(|source| CardError::Io {
-            path: path.into(),
-            action: "write",
-            source,
-        })
+        let io = |action| move |source| CardError::Io { path: path.into(), action, source };
+        let mut file = os::create_private(path).map_err(io("create"))?;
+        file.write_all(self.to_json().as_bytes()).map_err(io("write"))
     }
 }
 

@@ -20,6 +20,9 @@ pub enum LinkTarget {
     Tls { host: String, port: u16, websocket: bool },
 }
 
+/// Maximum length of an interface's name, in bytes: that of Linux.
+const MAX_INTERFACE: usize = 15;
+
 /// The TCP port of links over TLS, if none is named: that of HTTPS.
 pub const TLS_PORT: u16 = 443;
 
@@ -75,7 +78,7 @@ fn parse_ethernet(rest: &str) -> Option<LinkTarget> {
 }
 
 fn is_interface(name: &str) -> bool {
-    (1..libc::IFNAMSIZ).contains(&name.len()) && !name.contains(|c: char| c.is_whitespace() || c == '/')
+    (1..=MAX_INTERFACE).contains(&name.len()) && !name.contains(|c: char| c.is_whitespace() || c == '/')
 }
 
 fn parse_udp(rest: &str) -> Option<LinkTarget> {

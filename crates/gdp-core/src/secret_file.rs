@@ -2,13 +2,14 @@
 //! a wider mode. They belong to the owner of the folder, if root creates them. A file that others
 //! than the owner can access is refused, and so is one of another user. They hold private keys and
 //! the command line's state of a name; the caller defines the content.
+//!
+//! Windows has no modes: who can read a file there depends on its folder, and is not checked.
 
-use std::fs::{self, File, OpenOptions};
+use gdp_util::os;
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 
-use gdp_util::folders;
 use zeroize::Zeroizing;
 
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +62,7 @@ pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     with_temporary(path, content, |temporary| {
         fs::rename(temporary, path).map_err(io("replace"))?;
-        File::open(folder_of(path)).and_then(|folder| folder.sync_all()).map_err(io("keep"))
+        os::sync_folder(folder_of(path)).map_err(io("keep"))
     })
 }
 
@@ -76,7 +77,7 @@ fn with_temporary(
     file_name.push(format!(".{}.tmp", hex::encode(suffix)));
     let temporary = path.with_file_name(file_name);
 
-    let written = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&temporary).and_then(|mut file| {
+    let written = os::create_private(&temporary).and_then(|mut file| {
         give_to_owner_of_folder(&file, path)?;
         file.write_all(content).and_then(|()| file.sync_all())
     });
@@ -96,11 +97,7 @@ fn give_to_owner_of_folder(file: &File, path: &Path) -> io::Result<()> {
     if OF_ROOT.iter().any(|name| path.file_name() == Some(name.as_ref())) {
         return Ok(());
     }
-    let (own, above) = (file.metadata()?, folder_of(path).metadata()?);
-    match own.uid() == 0 && above.uid() != 0 {
-        true => fchown(file, Some(above.uid()), Some(above.gid())),
-        false => Ok(()),
-    }
+    os::give_to_owner_of(folder_of(path), file)
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -119,8 +116,7 @@ pub fn read_optional(path: &Path, max: usize) -> Result<Option<Zeroizing<Vec<u8>
 /// target.
 pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
-    // Without O_NONBLOCK, opening a FIFO would wait for a writer.
-    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
+    let file = os::open_for_reading(path).map_err(io("open"))?;
     check(path, &file)?;
     let mut content = Zeroizing::new(Vec::with_capacity(max + 1));
     file.take(max as u64 + 1).read_to_end(&mut content).map_err(io("read"))?;
@@ -137,19 +133,18 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
     if !metadata.is_file() {
         return Err(SecretFileError::NotAFile(path.into()));
     }
-    let mode = metadata.permissions().mode() & 0o7777;
-    if mode & 0o077 != 0 {
+    if let Some(mode) = os::mode(&metadata).filter(|mode| mode & 0o077 != 0) {
         return Err(SecretFileError::TooOpen { path: path.into(), mode });
     }
-    check_owner(path, metadata.uid())
+    os::owner(&metadata).map_or(Ok(()), |owner| check_owner(path, owner))
 }
 
 /// Refuses a file of a user other than this process's and root. Root also reads what it may have
 /// [given to the owner of the folder](give_to_owner_of_folder).
 fn check_owner(path: &Path, owner: u32) -> Result<(), SecretFileError> {
-    let own = folders::user();
+    let Some(own) = os::user() else { return Ok(()) };
     let io = |source| SecretFileError::Io { path: path.into(), action: "examine", source };
-    if [own, 0].contains(&owner) || own == 0 && folder_of(path).metadata().map_err(io)?.uid() == owner {
+    if [own, 0].contains(&owner) || own == 0 && os::owner(&folder_of(path).metadata().map_err(io)?) == Some(owner) {
         return Ok(());
     }
     Err(SecretFileError::OfAnother { path: path.into(), owner, own })

@@ -12,7 +12,7 @@ use gdp_dataplane::capabilities::{self, Capability};
 use gdp_dataplane::{device, pins};
 
 use crate::config::{Config, DataPlane};
-use gdp_util::folders;
+use gdp_util::os;
 
 /// The first port that needs no CAP_NET_BIND_SERVICE, with the default of
 /// `net.ipv4.ip_unprivileged_port_start`.
@@ -75,7 +75,7 @@ fn check(path: &Path, mode: libc::c_int) -> Result<(), PrivilegesError> {
     match (refused, path.metadata()) {
         (Err(io::ErrorKind::NotFound), _) if mode & libc::W_OK != 0 => above(mode),
         (Err(io::ErrorKind::PermissionDenied), Err(_)) => above(libc::X_OK),
-        (Err(io::ErrorKind::PermissionDenied), Ok(found)) if folders::is_root() && found.uid() != 0 => {
+        (Err(io::ErrorKind::PermissionDenied), Ok(found)) if os::is_root() && found.uid() != 0 => {
             Err(PrivilegesError::OfAnother { path: path.to_owned(), owner: found.uid() })
         }
         _ => Ok(()),

@@ -8,31 +8,30 @@
 
 mod addr;
 mod batch;
-mod control;
-mod data;
-mod discover;
-mod ethernet;
+mod frame_queue;
 mod handshakes;
 mod host;
-mod misdelivered;
-mod route_mtu;
-mod send;
-pub(crate) mod sys;
-mod udp;
-#[cfg(test)]
-#[path = "../tests/unit/port/udp_tests.rs"]
-mod udp_tests;
+mod interface;
+#[cfg(target_os = "linux")]
+mod linux;
+#[cfg(any(test, not(target_os = "linux")))]
+#[cfg_attr(target_os = "linux", allow(dead_code, unused_imports, reason = "Linux has it for its tests"))]
+mod portable;
 
-pub use crate::port::route_mtu::{UDP_MTU, min_udp_mtu};
+#[cfg(target_os = "linux")]
+use linux as platform;
+#[cfg(not(target_os = "linux"))]
+use portable as platform;
+
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::{ControlHeader, Header, Name, SMALLEST_PATH};
 use quinn::{AsyncUdpSocket, Endpoint, EndpointConfig, Incoming, ServerConfig, TokioRuntime};
-use tokio::sync::{Mutex, broadcast, mpsc};
+use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::{Instant, timeout};
 
 use crate::link;
 use crate::link::{
@@ -44,14 +43,17 @@ use gdp_core::identity::Identity;
 use gdp_core::peer::Role;
 
 pub use addr::LinkAddr;
-pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent};
-pub use data::DataSocket;
-pub use ethernet::{Interface, Vlan, index_of as interface_index};
+pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent, UDP_MTU, min_udp_mtu};
 pub use handshakes::{HandshakeCounters, HandshakeCounts};
 use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
-pub use sys::WakeFd;
+pub use interface::{Interface, Vlan};
+use platform::SharedUdp;
+pub use platform::ethernet::index_of as interface_index;
+use platform::ethernet::{self, ControlSocket};
+pub use platform::{DataSocket, WakeEvent};
+pub(crate) use platform::{limit_unsent, set_buffers};
 
 /// Largest QUIC packet on Ethernet. Control traffic does not gain from larger packets, and some
 /// devices do not pass jumbo frames.
@@ -59,15 +61,6 @@ const MAX_ETHERNET_QUIC: u32 = 1472;
 
 /// Smallest Ethernet MTU that QUIC supports, with the control header.
 pub const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
-
-/// Maximum number of switches in a discovery result.
-const MAX_ANSWERS: usize = 64;
-
-/// Interval between two solicitations.
-const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
-
-/// Time to wait for further answers after the first one.
-const ANSWERS_SETTLE: Duration = Duration::from_millis(50);
 
 /// The configuration of a port.
 #[derive(Clone)]
@@ -140,13 +133,24 @@ pub struct Port {
 
 #[derive(Clone)]
 enum Medium {
-    Ethernet(Interface, Arc<ethernet::ControlSocket>),
-    Udp(SocketAddr, Arc<udp::SharedUdp>),
+    Ethernet(Interface, Arc<ControlSocket>),
+    Udp(SocketAddr, Arc<SharedUdp>),
+}
+
+impl Interface {
+    /// Looks up an Ethernet interface by name in the network namespace of the calling thread.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is no such interface, and on all systems but Linux.
+    pub fn find(name: &str) -> std::io::Result<Self> {
+        ethernet::find(name)
+    }
 }
 
 impl Port {
     /// Opens a port on an Ethernet interface of the calling thread's network namespace. Requires
-    /// CAP_NET_RAW. Call within a tokio runtime.
+    /// CAP_NET_RAW, and Linux. Call within a tokio runtime.
     pub fn ethernet(interface: &str, config: &PortConfig) -> Result<Self, LinkError> {
         let fail = |what: &str| {
             let what = format!("interface {interface}: {what}");
@@ -159,11 +163,9 @@ impl Port {
         }
         let answer_as = config.listen.then(|| config.identity.name());
         let opening = "no packet socket (needs root or CAP_NET_RAW; without it, use a UDP link)";
-        let control = ethernet::ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
+        let control = ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
         let control = Arc::new(control);
-        let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
-        let data = DataSocket::new(data::Medium::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
-            .map_err(fail(opening))?;
+        let data = DataSocket::ethernet(&found, config.ethertype).map_err(fail(opening))?;
         let frame_mtu = found.mtu.min(Header::LEN as u32 + u16::MAX as u32);
         Self::open(config, control.clone(), Medium::Ethernet(found, control), data, frame_mtu)
     }
@@ -172,8 +174,8 @@ impl Port {
     pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
         let through = config.through.as_ref().map_or(String::new(), |interface| format!(" to interface {interface}"));
         let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}{through}"), source };
-        let socket = Arc::new(udp::SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
-        let data = DataSocket::new(data::Medium::Udp(socket.clone())).map_err(fail)?;
+        let socket = Arc::new(SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
+        let data = DataSocket::udp(socket.clone());
         let medium = Medium::Udp(socket.local_addr().map_err(fail)?, socket.clone());
         Self::open(config, socket, medium, data, UDP_MTU)
     }
@@ -276,31 +278,9 @@ impl Port {
     /// `within`, or when answers stop arriving. Answers are not authenticated: dialling verifies
     /// them, and several may claim one name. Returns nothing on UDP.
     pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
-        let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
-        let end = Instant::now() + within;
-        let (mut answers, mut until, mut next_question) = (control.discovery.listen(), end, Instant::now());
-        let mut found: Vec<(LinkAddr, Name)> = Vec::new();
-        loop {
-            let now = Instant::now();
-            if now >= until {
-                return found;
-            }
-            if now >= next_question {
-                let _ = control.send([0xff; 6], ControlHeader::SOLICIT, &[]);
-                next_question = now + SOLICIT_INTERVAL;
-            }
-            let (mac, name) = match timeout_at(until.min(next_question), answers.recv()).await {
-                Ok(Ok(answer)) => answer,
-                Ok(Err(broadcast::error::RecvError::Lagged(_))) | Err(_) => continue,
-                Ok(Err(broadcast::error::RecvError::Closed)) => return found,
-            };
-            let answer = (LinkAddr::Ethernet { ifindex: interface.index, mac }, name);
-            if wanted.is_none_or(|wanted| wanted == name) {
-                if found.len() < MAX_ANSWERS && !found.contains(&answer) {
-                    found.push(answer);
-                }
-                until = end.min(Instant::now() + ANSWERS_SETTLE);
-            }
+        match &self.medium {
+            Medium::Ethernet(_, control) => control.discover(wanted, within).await,
+            Medium::Udp(..) => Vec::new(),
         }
     }
 
@@ -385,7 +365,7 @@ impl Medium {
         self.udp().is_some()
     }
 
-    fn udp(&self) -> Option<&udp::SharedUdp> {
+    fn udp(&self) -> Option<&SharedUdp> {
         match self {
             Self::Ethernet(..) => None,
             Self::Udp(_, socket) => Some(socket),

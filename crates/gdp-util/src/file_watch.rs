@@ -1,28 +1,34 @@
 //! Watches files that other programs replace while this one runs: certificates, configurations,
 //! memberships.
 //!
-//! One task watches the files' folders by inotify, so it also detects a replacement by `rename`. It
-//! also polls every file, because a bind mount, a network file system or a link into another folder
-//! sends no event. Events of other files in these folders do not count: programs also write there.
+//! On Linux, one task watches the files' folders by inotify, so it also detects a replacement by
+//! `rename`. It also polls every file, because a bind mount, a network file system or a link into
+//! another folder sends no event. Events of other files in these folders do not count: programs
+//! also write there. Other systems only poll.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
-use std::ffi::OsString;
+#[cfg(target_os = "linux")]
+mod inotify;
+#[cfg(not(target_os = "linux"))]
+mod polling;
+
+use std::collections::{BTreeSet, HashMap};
 use std::fs;
-use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, SystemTime};
 
+use futures_util::FutureExt as _;
 use futures_util::future::select_all;
-use futures_util::{FutureExt as _, StreamExt as _};
-use inotify::{EventOwned, EventStream, Inotify, WatchDescriptor, WatchMask, Watches};
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
-/// Interval between two polls of every file.
-const SLOW_LOOK: Duration = Duration::from_secs(5);
+#[cfg(target_os = "linux")]
+use self::inotify::{Folders, POLL_INTERVAL};
+#[cfg(not(target_os = "linux"))]
+use self::polling::{Folders, POLL_INTERVAL};
+use crate::os;
 
 /// Time to wait after an event. A file is often replaced in several steps, which count as one
 /// change.
@@ -39,18 +45,16 @@ const QUIET: Duration = Duration::from_millis(200);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileStamp {
     modified: SystemTime,
-    /// The `ctime`, which also changes with the permissions.
-    changed_ns: (i64, i64),
-    inode: u64,
     length: u64,
+    identity: os::FileIdentity,
 }
 
 impl FileStamp {
     /// Returns the stamp of a file, or `None` if it does not exist or is not accessible.
     pub fn of(path: &Path) -> Option<Self> {
         let metadata = fs::metadata(path).ok()?;
-        let changed_ns = (metadata.ctime(), metadata.ctime_nsec());
-        Some(Self { modified: metadata.modified().ok()?, changed_ns, inode: metadata.ino(), length: metadata.len() })
+        let identity = os::identity(&metadata);
+        Some(Self { modified: metadata.modified().ok()?, length: metadata.len(), identity })
     }
 }
 
@@ -194,10 +198,10 @@ impl WatchedFile {
 
 async fn run(shared: Weak<Shared>) {
     let mut folders = Folders::new();
-    let mut slow_look = Instant::now() + SLOW_LOOK;
+    let mut next_poll = Instant::now() + POLL_INTERVAL;
     loop {
         let Some(now) = shared.upgrade() else { return };
-        folders.follow(&now.files.lock());
+        folders.follow(now.files.lock().keys());
         tokio::select! {
             () = folders.event() => {
                 sleep(SETTLE).await;
@@ -209,7 +213,7 @@ async fn run(shared: Weak<Shared>) {
                 }
             }
             () = now.added.notified() => {}
-            () = sleep_until(slow_look) => slow_look = Instant::now() + SLOW_LOOK,
+            () = sleep_until(next_poll) => next_poll = Instant::now() + POLL_INTERVAL,
         }
         now.look();
     }
@@ -227,85 +231,6 @@ impl Shared {
                 watched.changes.send_replace(());
             }
         }
-    }
-}
-
-/// The folders that inotify watches. If the kernel provides no inotify instance, only polling
-/// detects changes.
-struct Folders {
-    events: Option<(EventStream<[u8; 4096]>, Watches)>,
-    watched: HashMap<PathBuf, WatchDescriptor>,
-    /// The names of the files.
-    names: HashSet<OsString>,
-}
-
-impl Folders {
-    fn new() -> Self {
-        let events = Inotify::init().and_then(|inotify| {
-            let watches = inotify.watches();
-            Ok((inotify.into_event_stream([0; 4096])?, watches))
-        });
-        Self { events: events.ok(), watched: HashMap::new(), names: HashSet::new() }
-    }
-
-    /// Watches exactly the folders of these files.
-    fn follow(&mut self, files: &HashMap<PathBuf, Watched>) {
-        let Some((_, watches)) = &mut self.events else { return };
-        self.names = files.keys().filter_map(|file| file.file_name()).map(OsString::from).collect();
-        let wanted: HashSet<&Path> = files.keys().map(|file| folder_of(file)).collect();
-        for (_, descriptor) in self.watched.extract_if(|folder, _| !wanted.contains(folder.as_path())) {
-            // The kernel has already removed the watch of a deleted folder.
-            let _ = watches.remove(descriptor);
-        }
-        let mask = WatchMask::CLOSE_WRITE
-            | WatchMask::MOVE
-            | WatchMask::CREATE
-            | WatchMask::DELETE
-            | WatchMask::ATTRIB
-            | WatchMask::DELETE_SELF
-            | WatchMask::MOVE_SELF
-            | WatchMask::ONLYDIR;
-        for folder in wanted {
-            if !self.watched.contains_key(folder)
-                && let Ok(descriptor) = watches.add(folder, mask)
-            {
-                self.watched.insert(folder.to_owned(), descriptor);
-            }
-        }
-    }
-
-    /// Waits for an event of one of the files, or of a folder itself. This function is cancel-safe.
-    async fn event(&mut self) {
-        while !self.next().await {}
-    }
-
-    /// Waits for an event in one of the folders. Returns whether it may concern a file.
-    async fn next(&mut self) -> bool {
-        let Some((stream, _)) = &mut self.events else { return std::future::pending().await };
-        match stream.next().await {
-            Some(Ok(EventOwned { name: Some(name), .. })) => self.names.contains(&name),
-            Some(Ok(EventOwned { wd, mask, .. })) => {
-                let is_gone = mask.intersects(
-                    inotify::EventMask::IGNORED | inotify::EventMask::DELETE_SELF | inotify::EventMask::MOVE_SELF,
-                );
-                if is_gone {
-                    self.watched.retain(|_, watched| *watched != wd);
-                }
-                true
-            }
-            Some(Err(_)) | None => {
-                self.events = None;
-                self.watched.clear();
-                true
-            }
-        }
-    }
-}
-
-fn folder_of(file: &Path) -> &Path {
-    match file.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
     }
 }
 

@@ -10,6 +10,8 @@
 //! - [`line_socket`]: the admin socket of a program (feature `socket`)
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
+//! - [`os`]: what differs between operating systems about files
+//! - [`ownership`]: the owners of what root creates (feature `folders`, on Linux)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
 //! - [`processes`]: signals to child processes (feature `program`)
 //! - [`service_manager`]: notifications to systemd (feature `program`)
@@ -37,6 +39,9 @@ pub mod line_limit;
 pub mod line_socket;
 #[cfg(feature = "program")]
 pub mod log;
+pub mod os;
+#[cfg(all(feature = "folders", target_os = "linux"))]
+pub mod ownership;
 #[cfg(feature = "program")]
 pub mod panics;
 #[cfg(feature = "program")]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Stdio;
 use std::{env, fmt, io};
 
-use crate::folders;
+use crate::os;
 
 /// Where packages install units.
 const UNITS: &str = "/usr/lib/systemd/system";
@@ -36,7 +36,7 @@ impl Services {
     pub fn find(unit: &str, folder: &Path, of_units: &str) -> Option<Self> {
         let is_installed = env::current_exe().is_ok_and(|own| own.parent() == Some(Path::new("/usr/bin")));
         let has_unit = Path::new(UNITS).join(unit).is_file() && Path::new(BOOTED).is_dir();
-        (folders::is_root() && is_installed && has_unit && folder == Path::new(of_units)).then_some(Self(()))
+        (os::is_root() && is_installed && has_unit && folder == Path::new(of_units)).then_some(Self(()))
     }
 
     /// Starts units, now and at each boot. Units that run are started again with their new files.

@@ -1,9 +1,10 @@
 //! Text files of people, read whole and within a bound.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Read as _};
-use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _};
 use std::path::Path;
+
+use crate::os;
 
 /// Reads a file of at most `max` bytes. Returns `None` if it is longer.
 ///
@@ -19,9 +20,8 @@ pub fn read(path: &Path, max: u64) -> io::Result<Option<String>> {
 
 /// Opens a file without waiting for a writer.
 fn open(path: &Path) -> io::Result<File> {
-    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
-    let kind = file.metadata()?.file_type();
-    if kind.is_fifo() || kind.is_socket() {
+    let file = os::open_for_reading(path)?;
+    if os::is_pipe(&file.metadata()?) {
         let reason = "it is a pipe; write what comes out of it to a file, and name that";
         return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
     }

@@ -76,13 +76,13 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
         .mode(0o644)
         .open(path)
         .with_context(|| format!("cannot create {} (it is never overwritten)", path.display()))?;
-    let written = file.write_all(text.as_bytes()).and_then(|()| gdp_util::folders::give_file(&file, path));
+    let written = file.write_all(text.as_bytes()).and_then(|()| gdp_util::ownership::give_file(&file, path));
     written.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Replaces a file atomically, and keeps its permissions. A link stays, and its target is replaced.
 pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
-    if gdp_util::folders::is_foreign_link(path) {
+    if gdp_util::ownership::is_foreign_link(path) {
         anyhow::bail!("{} is a symbolic link of another user, and root does not follow it", path.display());
     }
     let target = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
@@ -94,7 +94,7 @@ pub fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
         file.set_permissions(target.metadata()?.permissions())?;
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
-        gdp_util::folders::give_file(&file, &new)?;
+        gdp_util::ownership::give_file(&file, &new)?;
         std::fs::rename(&new, &target)
     })();
     if replaced.is_err() {

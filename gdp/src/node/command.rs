@@ -11,7 +11,7 @@ use super::subscription_receiver::{Change, SubscriptionReceiver};
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::name::NameProof;
 use gdp_link::link::LinkError;
-use gdp_link::port::WakeFd;
+use gdp_link::port::WakeEvent;
 
 /// An update of the RIB that the supervisor sends.
 pub enum RibUpdate {
@@ -59,7 +59,7 @@ pub struct Commands {
 }
 
 #[derive(Clone)]
-struct WakeOnDrop(Arc<WakeFd>);
+struct WakeOnDrop(Arc<WakeEvent>);
 
 impl Drop for WakeOnDrop {
     fn drop(&mut self) {
@@ -69,10 +69,10 @@ impl Drop for WakeOnDrop {
 
 impl Commands {
     /// Returns the sending end, and the queue and the event of the thread.
-    pub fn new() -> Result<(Self, mpsc::Receiver<Command>, Arc<WakeFd>), LinkError> {
+    pub fn new() -> Result<(Self, mpsc::Receiver<Command>, Arc<WakeEvent>), LinkError> {
         let (sender, queue) = mpsc::channel();
         let what = || "an event of the receiving thread".to_owned();
-        let wake = WakeFd::new().map_err(|source| LinkError::Io { what: what(), source })?;
+        let wake = WakeEvent::new().map_err(|source| LinkError::Io { what: what(), source })?;
         let wake = Arc::new(wake);
         Ok((Self { sender, wake: WakeOnDrop(wake.clone()) }, queue, wake))
     }

@@ -13,7 +13,7 @@ use tokio::sync::watch;
 use super::config::LinkConfig;
 use super::error::NodeError;
 use super::home::Home;
-use super::network::{Network, NetworkPath, until_led};
+use super::network::{HostNetwork, NetworkPath, until_led};
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::Role;
@@ -32,7 +32,7 @@ pub struct Dialler {
     pub port: Option<Arc<Port>>,
     /// Index of the interface that the UDP port is bound to.
     pub through: Option<u32>,
-    pub network: Option<Arc<Network>>,
+    pub network: Option<Arc<HostNetwork>>,
     /// The path to the switch at the last lookup.
     pub path: NetworkPath,
     home: Arc<Home>,
@@ -54,7 +54,7 @@ impl Dialler {
         lane: u8,
         config: LinkConfig,
         rekey: RekeySchedule,
-        network: Option<Arc<Network>>,
+        network: Option<Arc<HostNetwork>>,
     ) -> Self {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
@@ -108,7 +108,7 @@ impl Dialler {
     }
 
     /// Returns the current path to the switch.
-    async fn look(&self, network: &Network) -> NetworkPath {
+    async fn look(&self, network: &HostNetwork) -> NetworkPath {
         match &self.target {
             LinkTarget::Ethernet { interface, .. } => match interface_index(interface) {
                 Ok(ifindex) => network.way(LinkAddr::Ethernet { ifindex, mac: [0; 6] }, None).await,

@@ -9,7 +9,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 use super::attachment::Attachment;
 use super::choice::Pulse;
-use super::network::{BETWEEN, Network, NetworkPath};
+use super::network::{BETWEEN, HostNetwork, NetworkPath};
 use super::pause::{BACKOFF, wait};
 use super::send_path::SendPath;
 use super::state::{LIFETIME, State};
@@ -117,7 +117,7 @@ pub async fn leave_unneeded(send_path: Arc<SendPath>, attachment: Arc<Attachment
 
 /// Limits frames to what the route to the switch takes, after each change of this machine's
 /// networks. QUIC discovers a larger path MTU, but not a smaller one soon.
-pub async fn watch_mtu(network: Arc<Network>, port: Arc<Port>, link: Link) {
+pub async fn watch_mtu(network: Arc<HostNetwork>, port: Arc<Port>, link: Link) {
     let mut changes = network.changes();
     while changes.changed().await.is_ok() {
         link.limit_mtu(port.route_mtu(link.addr()));
@@ -130,7 +130,7 @@ pub async fn watch_mtu(network: Arc<Network>, port: Arc<Port>, link: Link) {
 /// are those of the path on the network.
 pub async fn watch_moves(
     send_path: Arc<SendPath>,
-    network: Arc<Network>,
+    network: Arc<HostNetwork>,
     port: Arc<Port>,
     (to, through): (LinkAddr, Option<u32>),
     attachment: Arc<Attachment>,

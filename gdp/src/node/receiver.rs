@@ -24,7 +24,7 @@ use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::{PairError, PairOpener};
 use gdp_e2e::seal::{DropReason, SEGMENT_VERSION};
-use gdp_link::port::{DataSocket, InFrame, RecvBatch, WakeFd};
+use gdp_link::port::{DataSocket, InFrame, RecvBatch, WakeEvent};
 
 /// Maximum sleep of the thread, if nothing is due earlier.
 const LONGEST_SLEEP: Duration = Duration::from_secs(3600);
@@ -47,7 +47,7 @@ const CONGESTED: u8 = 0b11;
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
     /// Set after a command was queued.
-    pub wake: Arc<WakeFd>,
+    pub wake: Arc<WakeEvent>,
     pub send_path: Arc<SendPath>,
     pub feedback: Arc<Feedbacks>,
 }

@@ -1,7 +1,5 @@
 //! The revocations that a node has received, stored in its state folder across restarts.
 
-use std::fs::DirBuilder;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -12,6 +10,7 @@ use gdp_core::cert::{Revocation, Signed};
 use gdp_core::name::NameProof;
 use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
+use gdp_util::os;
 
 /// Maximum number of names with a stored revocation.
 const MOST: usize = 1024;
@@ -35,8 +34,11 @@ impl Revoked {
     /// Loads the revocations of an entity from a folder. Creates the folder if it does not exist.
     pub fn open(folder: Option<&Path>, entity: Name) -> Result<Self, SecretFileError> {
         let Some(folder) = folder else { return Ok(Self::default()) };
-        let made = DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.map_err(|source| SecretFileError::Io { path: folder.into(), action: "make the folder", source })?;
+        os::create_private_folder(folder).map_err(|source| SecretFileError::Io {
+            path: folder.into(),
+            action: "make the folder",
+            source,
+        })?;
         let file = RevocationFile::of_entity(folder, entity, MAX_FILE);
         let mut kept = file.load()?;
         kept.reverse();

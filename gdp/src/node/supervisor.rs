@@ -19,7 +19,7 @@ use super::dialler::Dialler;
 use super::error::NodeError;
 use super::link_tasks::{ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_tunnel};
 use super::links::Connection;
-use super::network::Network;
+use super::network::HostNetwork;
 use super::pause::{BACKOFF, ExpediteToken};
 use super::requests::{answer, update_rib};
 use super::state::State;
@@ -60,7 +60,7 @@ pub async fn run(
     mut stop: watch::Receiver<bool>,
 ) {
     let (ending, mut supervisors) = (watch::Sender::new(false), JoinSet::new());
-    let network = Network::open(state.network_changes.clone()).inspect_err(|error| {
+    let network = HostNetwork::open(state.network_changes.clone()).inspect_err(|error| {
         tracing::warn!(%error, "the kernel does not say when the network changes; links that are lost by that are \
                                 made anew after seconds");
     });

@@ -126,6 +126,28 @@ fn a_laptop_reads_what_it_was_invited_to_and_a_member_leaves() -> Result<()> {
     Ok(())
 }
 
+/// Without a proxy on her machine: the programs have her key.
+#[test]
+fn programs_of_a_member_read_a_robots_topic_by_its_label() -> Result<()> {
+    let mut scene = Scene::build()?;
+    scene.up()?;
+    let line = scene.invite("robot7", &["--expose", "/chatter"])?;
+    scene.join("robot7", &line)?;
+    let line = scene.invite("alice", &["--read", "robot7:/chatter"])?;
+    execute(scene.join_command("alice", &line, &scene.alice.inside)?.arg("--no-run"))?;
+    let _talker = scene.talk(&scene.robot.inside, "rt/chatter", 64, 20.0)?;
+    // From here on, the robot lists the topic.
+    first(&mut scene.listen(&scene.server, "rt/robot7/chatter")?)?;
+
+    let in_rust = scene.reads_in_rust("/robot7/chatter")?;
+    ensure!(in_rust.len() >= 64, "{} bytes", in_rust.len());
+    let unknown = scene.reads_in_rust("/robot9/chatter").unwrap_err().to_string();
+    ensure!(unknown.contains("no member has the label robot9"), "{unknown}");
+    let in_python = scene.reads_in_python("/robot7/chatter")?;
+    ensure!(in_python == in_rust.len(), "{in_python} bytes, and {} in Rust", in_rust.len());
+    Ok(())
+}
+
 #[test]
 fn a_robot_without_an_invitation_of_its_own_waits_for_approval() -> Result<()> {
     let mut scene = Scene::build()?;
@@ -336,6 +358,35 @@ impl Scene {
         let nobody = refused(&["topic", "hz", "chatter"])?;
         ensure!(nobody.contains("not a topic of a member, which is written /LABEL/TOPIC"), "{nobody}");
         Ok(())
+    }
+
+    /// Returns the payload of the next message that a program of alice's reads, with the SDK for
+    /// Rust.
+    fn reads_in_rust(&self, topic: &str) -> Result<Vec<u8>> {
+        // The threads of the runtime and of the SDK are in the namespace of this one.
+        let _inside = self.alice.inside.enter()?;
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let reading = async {
+            let session = gdp::open(gdp::Config::new(self.files.path().join("alice"))).await?;
+            let sample = session.subscriber(topic).await?.recv().await?.context("a message")?;
+            session.close().await?;
+            Ok(sample.payload().to_vec())
+        };
+        runtime.block_on(async { tokio::time::timeout(TIMEOUT, reading).await })?
+    }
+
+    /// Returns the length of the payload of the next message, with the SDK for Python.
+    fn reads_in_python(&self, topic: &str) -> Result<usize> {
+        let program = "import sys, gdp.blocking\n\
+                       with gdp.blocking.open(sys.argv[1]) as session:\n    \
+                       print(len(next(iter(session.subscribe(sys.argv[2]))).payload), flush=True)\n";
+        let packages = self.files.path().join("packages");
+        self.tools.install_python_sdk(&packages)?;
+        let mut command = self.alice.inside.command(self.tools.python_of_sdk()?)?;
+        command.args(["-c", program]).arg(self.files.path().join("alice")).arg(topic);
+        command.env("PYTHONPATH", packages).env("PYTHONDONTWRITEBYTECODE", "1");
+        let mut reading = Process::spawn("python", command, self.files.path())?;
+        reading.wait_until("a message", TIMEOUT, |reading| reading.stdout().trim().parse().ok())
     }
 
     /// Runs a command with this input, and returns all that it says.

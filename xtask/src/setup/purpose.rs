@@ -29,6 +29,8 @@ pub enum Purpose {
     Release,
     /// Run unit tests of arm64 on another architecture
     Arm64,
+    /// Check the SDK for Windows and macOS
+    Portable,
     /// Boot the packages in a virtual machine
     Boot,
     /// Test setup and build on a clean Debian root
@@ -82,6 +84,8 @@ pub enum SetupPart {
     Zig,
     /// Run programs of arm64.
     Qemu,
+    /// Check for Windows and macOS.
+    OtherSystems,
     /// Boot a virtual machine.
     Machine,
     /// Make a clean Debian root.
@@ -91,8 +95,8 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces, Packages,
-            Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
+            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces,
+            OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -110,11 +114,30 @@ impl Purpose {
             Self::Package => &[Workspace, Ebpf, Packages],
             Self::Release => &[Workspace, Ebpf, Packages, Zig],
             Self::Arm64 => &[Workspace, Qemu],
+            Self::Portable => &[Workspace, Lints, OtherSystems],
             Self::Boot => &[Workspace, Ebpf, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
-                Workspace, Git, Promtool, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2,
-                Python, Browser, Eval, Fresh, Packages, Qemu,
+                Workspace,
+                Git,
+                Promtool,
+                Ebpf,
+                Lints,
+                Namespaces,
+                Dpdk,
+                Etcd,
+                EtcdClient,
+                Dds,
+                Rosbags,
+                Ros1,
+                Ros2,
+                Python,
+                Browser,
+                Eval,
+                Fresh,
+                Packages,
+                Qemu,
+                OtherSystems,
             ],
         }
     }

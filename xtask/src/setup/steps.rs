@@ -7,7 +7,7 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use super::ebpf::{EbpfCompiler, bpf_linker_present};
 use crate::setup::purpose::SetupPart;
-use crate::{shell, workspace};
+use crate::{portable, shell, workspace};
 
 /// A requirement that a machine may lack.
 pub struct SetupStep {
@@ -402,6 +402,15 @@ pub const STEPS: &[SetupStep] = &[
         packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross", "qemu-user-static"],
         commands: &["rustup target add aarch64-unknown-linux-gnu"],
         elsewhere: "install a C compiler for aarch64, qemu-user and Rust's target aarch64-unknown-linux-gnu",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::OtherSystems,
+        what: "Rust's standard library for Windows and macOS",
+        why: "the SDK has to compile for them",
+        present: || portable::TARGETS.into_iter().all(has_target),
+        commands: &["rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin x86_64-apple-darwin"],
+        elsewhere: "rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin x86_64-apple-darwin",
         ..NOTHING
     },
     SetupStep {

@@ -1,7 +1,7 @@
 //! Unit tests of `secret_file`.
 
 use super::*;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
 #[test]
 fn created_files_are_private_and_complete_and_never_overwritten() {
@@ -49,7 +49,7 @@ fn wider_modes_are_refused_with_the_remedy() {
 
 #[test]
 fn a_file_of_another_user_is_refused() {
-    let own = folders::user();
+    let own = os::user().unwrap();
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("secret");
     let another = own + 1;

@@ -21,7 +21,7 @@ use gdp_dataplane::object::Object;
 use gdp_dataplane::pins::{self, Pins, PinsError};
 use gdp_dataplane::xdp_features::XdpFeatures;
 use gdp_dataplane::{disturbance, host_pair, losses, udp};
-use gdp_util::folders;
+use gdp_util::os;
 use gdp_util::unix_time::unix_seconds;
 
 /// Collects the facts for a daemon with this configuration, in this network namespace.
@@ -75,7 +75,7 @@ fn dpdk(config: &DpdkConfig) -> Dpdk {
     };
     Dpdk {
         built: cfg!(feature = "dpdk"),
-        root: folders::is_root(),
+        root: os::is_root(),
         huge_pages: config.huge_pages.then(free_huge_pages),
         ports: config.ports.iter().map(port).collect(),
     }

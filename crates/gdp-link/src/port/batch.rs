@@ -1,7 +1,26 @@
 //! Batches of frames: the buffers of received frames and the description of frames to send. No
 //! system calls.
 
+use std::net::IpAddr;
+
+use gdp_wire::packet::{IPV4_LEN, IPV6_LEN, UDP_LEN};
+use gdp_wire::{Header, SMALLEST_PATH};
+
 use super::LinkAddr;
+
+/// Largest data frame on a UDP link, in bytes: the payload of IPv4 on Ethernet with jumbo frames.
+/// The MTU of a link may be smaller, by QUIC's path MTU discovery.
+pub const UDP_MTU: u32 = 9000 - (IPV4_LEN + UDP_LEN) as u32;
+
+/// Returns the smallest MTU of an interface that carries links over UDP, in bytes.
+pub fn min_udp_mtu(bound: IpAddr) -> u32 {
+    let ip = if bound.is_ipv4() { IPV4_LEN } else { IPV6_LEN };
+    u32::from(SMALLEST_PATH) + (ip + UDP_LEN) as u32
+}
+
+/// The payload of UDP over IPv4 on Ethernet without jumbo frames, in bytes. Path MTU discovery goes
+/// up to this at least.
+pub const ETHERNET_PAYLOAD: u32 = 1500 - (IPV4_LEN + UDP_LEN) as u32;
 
 /// Maximum number of frames per send call, and per receive call on Ethernet. A veth ring of 256
 /// takes a batch without loss.
@@ -11,18 +30,18 @@ pub const BATCH: usize = 64;
 pub struct RecvBatch {
     /// Slots of equal size. Each takes one buffer from the kernel: a frame, or over UDP a run of
     /// frames.
-    storage: Vec<u8>,
+    pub(super) storage: Vec<u8>,
     largest: usize,
     /// The received frames, in the order of their addresses and without overlap.
-    slots: Vec<BufferSlot>,
+    pub(super) slots: Vec<BufferSlot>,
 }
 
 #[derive(Clone, Copy)]
-struct BufferSlot {
-    at: usize,
-    length: usize,
-    from: LinkAddr,
-    congested: bool,
+pub(super) struct BufferSlot {
+    pub(super) at: usize,
+    pub(super) length: usize,
+    pub(super) from: LinkAddr,
+    pub(super) congested: bool,
 }
 
 /// A received frame. Its address may be unaligned: copy the header out.
@@ -90,28 +109,6 @@ impl RecvBatch {
     pub(super) fn clear(&mut self) {
         self.slots.clear();
     }
-
-    /// Creates `count` slots of `size` bytes, and removes all frames.
-    pub(super) fn slots(&mut self, count: usize, size: usize) -> impl Iterator<Item = &mut [u8]> {
-        self.clear();
-        if self.storage.len() < count * size {
-            // Not resized, because a resize would copy stale bytes. The kernel provides zeroed
-            // pages only on first use.
-            self.storage = vec![0; count * size];
-        }
-        self.storage.chunks_exact_mut(size).take(count)
-    }
-
-    /// Returns the bytes of slot `index`, with slots of `size` bytes.
-    pub(super) fn slot(&self, index: usize, size: usize) -> &[u8] {
-        &self.storage[index * size..][..size]
-    }
-
-    /// Adds the frame that begins at `at`, behind all earlier frames.
-    pub(super) fn add(&mut self, at: usize, length: usize, from: LinkAddr, congested: bool) {
-        debug_assert!(self.slots.last().is_none_or(|last| last.at + last.length <= at));
-        self.slots.push(BufferSlot { at, length, from, congested });
-    }
 }
 
 /// A frame to send, in two pieces that need not be contiguous.
@@ -132,4 +129,13 @@ pub struct Sent {
     /// Frames given up: no buffer space in time, an interface that is down, or an address of
     /// another kind of port.
     pub lost: usize,
+}
+
+/// Returns the IP traffic class byte of a frame. Returns 0 on Ethernet, where only the frame's own
+/// header carries the class.
+pub fn traffic(frame: OutFrame) -> u8 {
+    match (frame.to, frame.head) {
+        (LinkAddr::Udp(_), [_, flags, ..]) => Header::ip_traffic(*flags),
+        _ => 0,
+    }
 }

@@ -6,13 +6,9 @@
 //! of a link (`crate::link::hello`) carry the parameters that an endpoint needs. QUIC continues to
 //! use the dialled address.
 
-use std::fs;
 use std::net::Ipv4Addr;
-use std::os::fd::BorrowedFd;
 use std::sync::Arc;
 
-use super::sys;
-use gdp_core::crypto;
 use parking_lot::Mutex;
 
 /// The addresses of a switch and its host on the interface pair between them.
@@ -43,23 +39,3 @@ impl CurrentPair {
         *self.0.lock() = pair;
     }
 }
-
-/// Returns a number for the network namespace of a socket, unique to this boot of this host.
-/// Returns `None` if the kernel (before 5.14) does not report it. Compare it for equality only:
-/// containers, and virtual machines behind the host's own address, have another number.
-pub fn id(socket: BorrowedFd) -> Option<u64> {
-    const SO_NETNS_COOKIE: libc::c_int = 71;
-    let cookie: u64 = sys::get_option(socket, libc::SOL_SOCKET, SO_NETNS_COOKIE).ok()?;
-    let boot = fs::read("/proc/sys/kernel/random/boot_id").ok()?;
-    let digest = crypto::sha256(&[b"gdp/host/1", &boot, &cookie.to_be_bytes()]);
-    digest.first_chunk().map(|first| u64::from_be_bytes(*first))
-}
-
-/// Returns whether a socket bound to the unspecified IPv6 address also accepts datagrams over IPv4.
-pub fn takes_ipv4(socket: BorrowedFd) -> bool {
-    matches!(sys::get_option::<libc::c_int>(socket, libc::IPPROTO_IPV6, libc::IPV6_V6ONLY), Ok(0))
-}
-
-#[cfg(test)]
-#[path = "../../tests/unit/port/host.rs"]
-mod tests;

@@ -2,7 +2,6 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,7 +17,7 @@ use tokio_tungstenite::client_async_with_config;
 use super::framing::{Incoming, Outgoing, by_length, by_message, websocket_config};
 use super::http_proxy::{HttpProxy, HttpProxyError};
 use super::{LOOPBACK_BUFFER, credentials, pump, stream};
-use crate::port::sys;
+use crate::port::set_buffers;
 
 /// Maximum time until a tunnel is open.
 const OPENING: Duration = Duration::from_secs(5);
@@ -67,7 +66,7 @@ impl Tunnel {
             .await
             .unwrap_or_else(|_| Err(TunnelError::Timeout { to: to.clone() }))?;
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(TunnelError::Loopback)?;
-        sys::set_buffers(socket.as_fd(), LOOPBACK_BUFFER, LOOPBACK_BUFFER);
+        set_buffers(&socket, LOOPBACK_BUFFER, LOOPBACK_BUFFER);
         socket.connect(endpoint).await.map_err(TunnelError::Loopback)?;
         let local = socket.local_addr().map_err(TunnelError::Loopback)?;
         let (sender, running) = watch::channel(());

@@ -3,7 +3,6 @@
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::Duration;
 use std::{fs, io};
@@ -21,7 +20,7 @@ use super::admission::{Admission, MAX_OPENING, MAX_OPENING_OF_ONE, MAX_TUNNELS, 
 use super::framing::{FIRST_WEBSOCKET_BYTE, Incoming, Outgoing, by_length, by_message, websocket_config};
 use super::peers::TunnelPeers;
 use super::{LOOPBACK_BUFFER, credentials, pump, stream};
-use crate::port::sys;
+use crate::port::set_buffers;
 
 /// Maximum time from a TCP connection to the first datagram's framing.
 const OPENING: Duration = Duration::from_secs(5);
@@ -117,7 +116,7 @@ impl Admitted {
         let datagrams = opened??;
         let (from, switch) = self.tunnels.path(self.source);
         let socket = UdpSocket::bind((from, 0)).await?;
-        sys::set_buffers(socket.as_fd(), LOOPBACK_BUFFER, LOOPBACK_BUFFER);
+        set_buffers(&socket, LOOPBACK_BUFFER, LOOPBACK_BUFFER);
         socket.connect(switch).await?;
         let listed = ListedPeer { peers: &self.tunnels.peers, local: socket.local_addr()? };
         listed.peers.add(listed.local, peer);

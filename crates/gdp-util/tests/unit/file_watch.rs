@@ -52,7 +52,7 @@ async fn other_files_in_the_folder_are_no_event() {
     let scene = Scene::new();
     let _watched = scene.watcher.watch(&scene.path("certificate"));
     let mut folders = Folders::new();
-    folders.follow(&scene.watcher.0.shared.files.lock());
+    folders.follow(scene.watcher.0.shared.files.lock().keys());
     for i in 0..100 {
         fs::write(scene.path("statistics.new"), i.to_string()).unwrap();
         fs::rename(scene.path("statistics.new"), scene.path("statistics")).unwrap();

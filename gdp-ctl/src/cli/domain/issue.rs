@@ -122,7 +122,7 @@ pub struct InitOutput {
 
 pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let folder = &options.output;
-    gdp_util::folders::create(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    gdp_util::ownership::create(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let output = create_domain(folder, options.successor.as_deref())?;
     let name = output.name.to_string();
     context.output.print(&output, || [name])

@@ -60,7 +60,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let is_switch = roles::is_switch(&invite.role);
     let kind = if is_switch { "switch" } else { "proxy" };
     let folder = &options.output;
-    gdp_util::folders::create(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    gdp_util::ownership::create(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let [card_file, membership_file, config_file] =
         ["domain.card", "membership", "gdp.yaml"].map(|name| folder.join(name));
     for file in [&card_file, &membership_file, &config_file] {

@@ -134,7 +134,7 @@ fn restore(file: &Path, home: &Home, context: &Context) -> anyhow::Result<()> {
     for (path, Content(content)) in others.into_iter().chain(last.into_iter().rev()) {
         let path = home.path(path);
         let folder = path.parent().unwrap_or(home.folder());
-        gdp_util::folders::create(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        gdp_util::ownership::create(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         secret_file::replace(&path, content)?;
     }
     home.record("restore", "", &[])?;

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use gdp_core::identity::Identity;
 use gdp_core::secret_file::{self, OF_ROOT};
-use gdp_util::folders;
+use gdp_util::ownership;
 use gdp_wire::Name;
 
 use super::renewals::{OWN, SWITCH};
@@ -78,7 +78,7 @@ impl Home {
             self.replace("gdp.yaml", &configuration(&address, wanted.socket)?)?;
         }
         // The programs of the domain run as that user. The domain's keys remain root's.
-        folders::give_all(self.folder(), &OF_ROOT)
+        ownership::give_all(self.folder(), &OF_ROOT)
             .with_context(|| format!("{}: its owner", self.folder().display()))?;
         Ok(Made { domain, switch: switch.name(), is_new })
     }

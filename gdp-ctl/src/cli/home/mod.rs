@@ -82,7 +82,7 @@ impl HomeOptions {
     fn home(&self) -> anyhow::Result<Home> {
         let default = || Some(gdp_util::folders::configuration()?.join("home"));
         let folder = self.dir.clone().or_else(default).context("no place for the domain: say where with --dir")?;
-        if gdp_util::folders::is_foreign_link(&folder) {
+        if gdp_util::ownership::is_foreign_link(&folder) {
             anyhow::bail!("{} is a symbolic link of another user, and root does not follow it", folder.display());
         }
         Ok(Home { folder, key: self.key.clone() })

@@ -2,6 +2,7 @@
 
 use netlink_packet_core::ErrorMessage;
 
+use super::super::{BETWEEN, until_led};
 use super::*;
 
 #[test]
@@ -20,7 +21,7 @@ fn an_interface_whose_carrier_was_lost_meanwhile_is_another() {
 
 #[tokio::test]
 async fn an_address_on_this_machine_is_reached_and_nothing_changes_by_itself() {
-    let network = Network::open(watch::Sender::default()).unwrap();
+    let network = HostNetwork::open(watch::Sender::default()).unwrap();
     let to = LinkAddr::udp("127.0.0.1:9".parse().unwrap());
     let way = network.way(to, None).await;
     let is_local = matches!(&way, NetworkPath::By(exit) if exit.source == Some("127.0.0.1".parse().unwrap()));

@@ -1,4 +1,4 @@
-//! Unit tests of `port::control`.
+//! Unit tests of `port::linux::control`.
 
 use super::*;
 

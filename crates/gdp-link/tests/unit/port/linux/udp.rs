@@ -13,13 +13,12 @@ use std::time::{Duration, Instant};
 use quinn::AsyncUdpSocket;
 use quinn::udp::{EcnCodepoint, RecvMeta};
 
-use super::batch::{BATCH, OutFrame, RecvBatch, Sent};
 use super::control::Control;
-use super::data::{DataSocket, Medium};
-use super::route_mtu::UDP_MTU;
+use super::data::DataSocket;
 use super::sys::{self, RawAddr};
 use super::udp::SharedUdp;
-use super::{InFrame, LinkAddr};
+use crate::port::LinkAddr;
+use crate::port::batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent, UDP_MTU};
 
 const SOON: Duration = Duration::from_secs(60);
 
@@ -264,7 +263,7 @@ struct End {
 impl End {
     fn bind(addr: &str) -> Self {
         let udp = Arc::new(SharedUdp::bind(addr.parse().unwrap(), None).unwrap());
-        Self { data: DataSocket::new(Medium::Udp(udp.clone())).unwrap(), udp }
+        Self { data: DataSocket::udp(udp.clone()), udp }
     }
 
     fn addr(&self) -> SocketAddr {
@@ -318,7 +317,7 @@ impl Plain {
     fn bind(addr: &str) -> Self {
         let socket = UdpSocket::bind(addr).unwrap();
         socket.set_read_timeout(Some(SOON)).unwrap();
-        sys::set_buffers(socket.as_fd(), 4 << 20, 4 << 20);
+        sys::set_buffers(&socket, 4 << 20, 4 << 20);
         for (level, option) in [
             (libc::SOL_UDP, libc::UDP_GRO),
             (libc::IPPROTO_IP, libc::IP_RECVTOS),

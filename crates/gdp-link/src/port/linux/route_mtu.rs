@@ -1,27 +1,14 @@
-//! The largest data frame on a UDP link, and the MTU of the kernel's route to a peer.
+//! The MTU of the kernel's route to a peer.
 
 use std::io;
-use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::AsFd;
 
-use gdp_wire::SMALLEST_PATH;
 use gdp_wire::packet::{IPV4_LEN, IPV6_LEN, UDP_LEN};
 use parking_lot::Mutex;
 
 use super::sys;
-
-/// Largest data frame on a UDP link, in bytes: the payload of IPv4 on Ethernet with jumbo frames.
-/// The MTU of a link may be smaller, by QUIC's path MTU discovery.
-pub const UDP_MTU: u32 = 9000 - (IPV4_LEN + UDP_LEN) as u32;
-
-/// Returns the smallest MTU of an interface that carries links over UDP, in bytes.
-pub fn min_udp_mtu(bound: IpAddr) -> u32 {
-    let ip = if bound.is_ipv4() { IPV4_LEN } else { IPV6_LEN };
-    u32::from(SMALLEST_PATH) + (ip + UDP_LEN) as u32
-}
-
-/// Path MTU discovery goes up to this at least: the payload of IPv4 on Ethernet.
-const ETHERNET: u32 = 1500 - (IPV4_LEN + UDP_LEN) as u32;
+use crate::port::batch::{ETHERNET_PAYLOAD, UDP_MTU};
 
 /// Asks the kernel for routes from one address, in the network namespace of [`RouteMtu::open`].
 #[derive(Debug)]
@@ -46,7 +33,7 @@ impl RouteMtu {
             tracing::debug!(%to, %error, "the MTU of the route to a peer is not known");
             0
         });
-        mtu.clamp(ETHERNET, UDP_MTU) as u16
+        mtu.clamp(ETHERNET_PAYLOAD, UDP_MTU) as u16
     }
 
     /// Returns the largest datagram in bytes.

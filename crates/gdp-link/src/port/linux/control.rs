@@ -69,5 +69,5 @@ fn integer(bytes: &[u8]) -> libc::c_int {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/port/control.rs"]
+#[path = "../../../tests/unit/port/linux/control.rs"]
 mod tests;

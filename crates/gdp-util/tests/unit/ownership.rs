@@ -1,4 +1,4 @@
-//! Unit tests of `folders`: whose the files are that root creates in another user's folder.
+//! Unit tests of `ownership`: whose the files are that root creates in another user's folder.
 #![allow(clippy::print_stdout, reason = "a skipped test says so")]
 
 use std::os::unix::fs::symlink;

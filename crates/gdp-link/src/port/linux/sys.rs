@@ -4,7 +4,6 @@ use std::io;
 use std::mem::{size_of, size_of_val, zeroed};
 use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6, UdpSocket};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
-use std::time::Duration;
 
 /// Binds a socket to one interface for sending and receiving.
 pub fn bind_to_interface(fd: BorrowedFd, interface: &str) -> io::Result<()> {
@@ -67,7 +66,8 @@ pub fn get_option<T: Copy + Default>(fd: BorrowedFd, level: libc::c_int, option:
 
 /// Requests socket buffers of the given sizes, in bytes. With CAP_NET_ADMIN they may exceed the
 /// system's limit.
-pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
+pub fn set_buffers(socket: &impl AsFd, receive: usize, send: usize) {
+    let fd = socket.as_fd();
     for (bytes, force, polite) in
         [(receive, libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (send, libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)]
     {
@@ -77,6 +77,11 @@ pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
             let _ = set_option(fd, libc::SOL_SOCKET, polite, &bytes);
         }
     }
+}
+
+/// Limits the bytes that the kernel holds unsent for a TCP connection.
+pub fn limit_unsent(socket: &impl AsFd, bytes: u32) -> io::Result<()> {
+    set_option(socket.as_fd(), libc::IPPROTO_TCP, libc::TCP_NOTSENT_LOWAT, &bytes)
 }
 
 /// Returns the number of frames that the kernel dropped since the socket was opened, because the
@@ -136,100 +141,6 @@ pub fn attach_program(fd: BorrowedFd, option: libc::c_int, program: &mut [libc::
 /// Returns a classic BPF instruction.
 pub const fn step(code: u32, jump_true: u8, jump_false: u8, k: u32) -> libc::sock_filter {
     libc::sock_filter { code: code as u16, jt: jump_true, jf: jump_false, k }
-}
-
-/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the
-/// timeout expires. Returns whether the descriptor is ready. Clears `wake`.
-pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duration) -> io::Result<bool> {
-    let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
-    let mut polls = [poll(fd, events), poll(wake.map_or(fd, WakeFd::fd), libc::POLLIN)];
-    let count = if wake.is_some() { 2 } else { 1 };
-    let time = timespec(timeout);
-    // SAFETY: the pointers refer to at least `count` pollfds and one timespec, which outlive the
-    // call; no signal mask.
-    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
-        Ok(_) => {
-            if let Some(wake) = wake.filter(|_| polls[1].revents != 0) {
-                wake.clear();
-            }
-            Ok(polls[0].revents != 0)
-        }
-        Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
-        Err(error) => Err(error),
-    }
-}
-
-/// Maximum number of sockets that [`wait_any`] waits for.
-pub const MOST_AT_ONCE: usize = 8;
-
-/// Waits until one of the descriptors is readable, one of the events is set, or the timeout
-/// expires. Clears the events.
-pub fn wait_any<'a>(
-    sockets: impl Iterator<Item = (BorrowedFd<'a>, &'a WakeFd)> + Clone,
-    wake: &WakeFd,
-    timeout: Duration,
-) -> io::Result<()> {
-    // The kernel ignores negative descriptors.
-    let mut polls = [libc::pollfd { fd: -1, events: libc::POLLIN, revents: 0 }; 2 * MOST_AT_ONCE + 1];
-    let sockets = sockets.take(MOST_AT_ONCE);
-    let all = sockets.clone().flat_map(|(fd, wake)| [fd, wake.fd()]).chain([wake.fd()]);
-    let mut count: libc::nfds_t = 0;
-    for (poll, fd) in polls.iter_mut().zip(all) {
-        poll.fd = fd.as_raw_fd();
-        count += 1;
-    }
-    let time = timespec(timeout);
-    // SAFETY: the pointers refer to at least `count` pollfds and one timespec, which outlive the
-    // call; no signal mask.
-    match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
-        Ok(_) => {
-            let is_set = |poll: &libc::pollfd| poll.revents != 0;
-            sockets.zip(polls.chunks(2)).filter(|(_, polls)| is_set(&polls[1])).for_each(|((_, wake), _)| wake.clear());
-            if is_set(&polls[count as usize - 1]) {
-                wake.clear();
-            }
-            Ok(())
-        }
-        Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(()),
-        Err(error) => Err(error),
-    }
-}
-
-/// Returns a timeout in the kernel's format. Longer ones than the kernel's become its longest.
-fn timespec(timeout: Duration) -> libc::timespec {
-    libc::timespec {
-        tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
-        tv_nsec: timeout.subsec_nanos().into(),
-    }
-}
-
-/// An eventfd, which makes a queue in memory pollable like a socket.
-#[derive(Debug)]
-pub struct WakeFd(OwnedFd);
-
-impl WakeFd {
-    pub fn new() -> io::Result<Self> {
-        // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
-        Ok(Self(unsafe { OwnedFd::from_raw_fd(check(libc::eventfd(0, libc::EFD_NONBLOCK | libc::EFD_CLOEXEC))?) }))
-    }
-
-    pub fn set(&self) {
-        let one = 1u64;
-        // SAFETY: the kernel reads eight bytes from `one`. The call can only fail when the event's
-        // count is already 2^64 − 2.
-        unsafe { libc::write(self.0.as_raw_fd(), (&raw const one).cast(), size_of::<u64>()) };
-    }
-
-    pub fn clear(&self) {
-        let mut count = 0u64;
-        // SAFETY: the kernel writes eight bytes to `count`. The call fails only when the event is
-        // not set.
-        unsafe { libc::read(self.0.as_raw_fd(), (&raw mut count).cast(), size_of::<u64>()) };
-    }
-
-    pub fn fd(&self) -> BorrowedFd<'_> {
-        self.0.as_fd()
-    }
 }
 
 /// A socket address in the kernel's format, for the `mmsg` system calls.

@@ -10,32 +10,40 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::batch::{OutFrame, RecvBatch, Sent};
+use super::ethernet;
 use super::send::{Chunk, Offload};
-use super::sys::{self, RawAddr, WakeFd};
+use super::sys::{self, RawAddr};
 use super::udp::SharedUdp;
-use super::{LinkAddr, ethernet};
+use super::wake::{self, WakeEvent};
+use crate::port::LinkAddr;
+use crate::port::batch::{OutFrame, RecvBatch, Sent};
+use crate::port::interface::Interface;
 
 /// The socket for a port's data frames. Threads share it; only one of them should receive.
 pub struct DataSocket {
     kind: Medium,
-    wake: Arc<WakeFd>,
+    wake: Arc<WakeEvent>,
     offload: Offload,
     lost: AtomicU64,
 }
 
-pub(super) enum Medium {
+enum Medium {
     Ethernet { fd: OwnedFd, ifindex: u32, ethertype: u16 },
     Udp(Arc<SharedUdp>),
 }
 
 impl DataSocket {
-    pub(super) fn new(kind: Medium) -> io::Result<Self> {
-        let (wake, offload) = match &kind {
-            Medium::Ethernet { .. } => (Arc::new(WakeFd::new()?), Offload::never()),
-            Medium::Udp(socket) => (socket.data_wake(), Offload::default()),
-        };
-        Ok(Self { kind, wake, offload, lost: AtomicU64::new(0) })
+    /// Opens the socket for data frames of an interface.
+    pub(in crate::port) fn ethernet(interface: &Interface, ethertype: u16) -> io::Result<Self> {
+        let fd = ethernet::open_data(interface, ethertype)?;
+        let kind = Medium::Ethernet { fd, ifindex: interface.index, ethertype };
+        Ok(Self { kind, wake: Arc::new(WakeEvent::new()?), offload: Offload::never(), lost: AtomicU64::new(0) })
+    }
+
+    /// Returns the data socket of a UDP port.
+    pub(in crate::port) fn udp(socket: Arc<SharedUdp>) -> Self {
+        let wake = socket.data_wake();
+        Self { kind: Medium::Udp(socket), wake, offload: Offload::default(), lost: AtomicU64::new(0) }
     }
 
     /// Receives the available frames, up to a bounded number, and replaces the contents of the
@@ -53,21 +61,21 @@ impl DataSocket {
     /// `timeout` expires.
     pub fn wait_readable(&self, timeout: Duration) -> io::Result<bool> {
         Ok(self.has_misdelivered()
-            || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)?
+            || wake::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)?
             || self.has_misdelivered())
     }
 
     /// Blocks until one of the sockets has frames, until `wake` is set, or until `timeout` expires.
-    /// At most [`sys::MOST_AT_ONCE`] sockets are waited for.
+    /// At most [`wake::MOST_AT_ONCE`] sockets are waited for.
     pub fn wait_any<'a>(
         sockets: impl Iterator<Item = &'a Self> + Clone,
-        wake: &WakeFd,
+        wake: &WakeEvent,
         timeout: Duration,
     ) -> io::Result<()> {
         if sockets.clone().any(Self::has_misdelivered) {
             return Ok(());
         }
-        sys::wait_any(sockets.map(|socket| (socket.as_fd(), &*socket.wake)), wake, timeout)
+        wake::wait_any(sockets.map(|socket| (socket.as_fd(), &*socket.wake)), wake, timeout)
     }
 
     /// Ends the current or the next [`Self::wait_readable`], to let its thread do other work.
@@ -75,7 +83,7 @@ impl DataSocket {
         self.wake.set();
     }
 
-    /// Sends frames in order, with up to [`super::BATCH`] frames per system call.
+    /// Sends frames in order, with up to [`crate::port::BATCH`] frames per system call.
     ///
     /// Over UDP, consecutive frames with the same destination, traffic class and length leave as
     /// one datagram (GSO). If the kernel has no buffer space, it blocks for a few milliseconds at

@@ -1,4 +1,4 @@
-//! The limit on open file descriptors of this process, and what connections leave for the rest.
+//! The limit of Unix: `RLIMIT_NOFILE`.
 
 use std::io;
 use std::os::fd::AsRawFd;

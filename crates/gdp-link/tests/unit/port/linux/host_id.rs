@@ -1,4 +1,4 @@
-//! Unit tests of `port::host`.
+//! Unit tests of `port::linux::host_id`.
 
 use std::net::UdpSocket;
 use std::os::fd::AsFd;

@@ -12,12 +12,11 @@ use std::os::fd::{AsRawFd, BorrowedFd};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use gdp_wire::Header;
-
-use super::LinkAddr;
-use super::batch::{BATCH, OutFrame};
 use super::control::Control;
 use super::sys::{self, RawAddr};
+use super::wake;
+use crate::port::LinkAddr;
+use crate::port::batch::{BATCH, OutFrame, traffic};
 
 /// Maximum time to wait for space in the socket's buffer before frames are given up.
 const SEND_PATIENCE: Duration = Duration::from_millis(5);
@@ -141,7 +140,7 @@ impl<'a> Chunk<'a> {
                     Some(libc::EINTR) => {}
                     Some(libc::EAGAIN | libc::ENOBUFS) if !waited => {
                         waited = true;
-                        let _ = sys::wait(fd, libc::POLLOUT, None, SEND_PATIENCE);
+                        let _ = wake::wait(fd, libc::POLLOUT, None, SEND_PATIENCE);
                     }
                     // May report an earlier event: a socket reports once that its interface was
                     // down.
@@ -206,14 +205,5 @@ impl<'a> Chunk<'a> {
         header.msg_iov = self.iovecs[start..end].as_ptr().cast_mut().cast();
         header.msg_iovlen = (2 * (end - start)) as _;
         control.attach(header);
-    }
-}
-
-/// Returns the IP traffic class byte of a frame. Returns 0 on Ethernet, where only the frame's own
-/// header carries the class.
-fn traffic(frame: OutFrame) -> u8 {
-    match (frame.to, frame.head) {
-        (LinkAddr::Udp(_), [_, flags, ..]) => Header::ip_traffic(*flags),
-        _ => 0,
     }
 }

@@ -14,50 +14,40 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
 use gdp_wire::{ControlHeader, FrameType, Name};
 use quinn::udp::{RecvMeta, Transmit};
 use quinn::{AsyncUdpSocket, UdpPoller};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
+use tokio::sync::broadcast;
+use tokio::time::{Instant, timeout_at};
 use zerocopy::IntoBytes;
 
-use super::LinkAddr;
-use super::addr::{mac_to_socket, socket_to_mac};
-use super::batch::{BATCH, RecvBatch};
 use super::discover::Discovery;
 use super::sys::{self, RawAddr, check, step};
+use crate::port::LinkAddr;
+use crate::port::addr::{mac_to_socket, socket_to_mac};
+use crate::port::batch::{BATCH, RecvBatch};
+use crate::port::interface::{Interface, Vlan};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
 /// kernel's memory.
 const DATA_BUFFER: usize = 16 << 20;
 const CONTROL_BUFFER: usize = 1 << 20;
 
+/// Maximum number of switches in a discovery result.
+const MAX_ANSWERS: usize = 64;
+
+/// Interval between two solicitations.
+const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Time to wait for further answers after the first one.
+const ANSWERS_SETTLE: Duration = Duration::from_millis(50);
+
 /// Maximum length of a control frame. Longer ones do not parse.
 const MAX_CONTROL: usize = 2048;
-
-/// An interface, as the kernel describes it.
-#[derive(Clone, Debug)]
-pub struct Interface {
-    pub name: String,
-    pub index: u32,
-    pub mac: [u8; 6],
-    /// Bytes after the Ethernet header.
-    pub mtu: u32,
-    /// The VLAN, if the interface is a VLAN on another interface.
-    pub vlan: Option<Vlan>,
-}
-
-/// A VLAN on an interface.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Vlan {
-    /// Name of the interface that carries the tagged frames.
-    pub lower: String,
-    /// Index of `lower`.
-    pub lower_index: u32,
-    /// The IEEE 802.1Q VLAN id.
-    pub id: u16,
-}
 
 /// Returns the index of the interface with this name in the network namespace of the calling
 /// thread. The interface need not be Ethernet. An interface that is deleted and created again has
@@ -72,37 +62,34 @@ pub fn index_of(interface: &str) -> io::Result<u32> {
     Ok(index)
 }
 
-impl Interface {
-    /// Looks up an interface by name in the network namespace of the calling thread.
-    pub fn find(name: &str) -> io::Result<Self> {
-        let index = index_of(name)?;
-        // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
-        let socket = unsafe {
-            OwnedFd::from_raw_fd(check(libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0))?)
-        };
-        let ask = |request| {
-            // SAFETY: zero is a valid value of every variant.
-            let mut ifreq: libc::ifreq = unsafe { zeroed() };
-            for (to, from) in ifreq.ifr_name.iter_mut().zip(name.bytes()) {
-                *to = from as libc::c_char;
-            }
-            // SAFETY: both requests used here fill in an `ifreq`.
-            check(unsafe { libc::ioctl(socket.as_raw_fd(), request, &raw mut ifreq) }).map(|_| ifreq)
-        };
-        let hardware = ask(libc::SIOCGIFHWADDR)?;
-        let mtu = ask(libc::SIOCGIFMTU)?;
-        // SAFETY: the two requests wrote these variants.
-        let (hardware, mtu) = unsafe { (hardware.ifr_ifru.ifru_hwaddr, mtu.ifr_ifru.ifru_mtu) };
-        if hardware.sa_family != libc::ARPHRD_ETHER {
-            return Err(io::Error::new(io::ErrorKind::Unsupported, "not an Ethernet interface"));
+/// Looks up an interface by name in the network namespace of the calling thread.
+pub fn find(name: &str) -> io::Result<Interface> {
+    let index = index_of(name)?;
+    // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
+    let socket =
+        unsafe { OwnedFd::from_raw_fd(check(libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0))?) };
+    let ask = |request| {
+        // SAFETY: zero is a valid value of every variant.
+        let mut ifreq: libc::ifreq = unsafe { zeroed() };
+        for (to, from) in ifreq.ifr_name.iter_mut().zip(name.bytes()) {
+            *to = from as libc::c_char;
         }
-        let mut mac = [0; 6];
-        for (to, from) in mac.iter_mut().zip(hardware.sa_data) {
-            *to = from as u8;
-        }
-        let vlan = Vlan::of(&socket, name);
-        Ok(Self { name: name.to_owned(), index, mac, mtu: mtu.max(0) as u32, vlan })
+        // SAFETY: both requests used here fill in an `ifreq`.
+        check(unsafe { libc::ioctl(socket.as_raw_fd(), request, &raw mut ifreq) }).map(|_| ifreq)
+    };
+    let hardware = ask(libc::SIOCGIFHWADDR)?;
+    let mtu = ask(libc::SIOCGIFMTU)?;
+    // SAFETY: the two requests wrote these variants.
+    let (hardware, mtu) = unsafe { (hardware.ifr_ifru.ifru_hwaddr, mtu.ifr_ifru.ifru_mtu) };
+    if hardware.sa_family != libc::ARPHRD_ETHER {
+        return Err(io::Error::new(io::ErrorKind::Unsupported, "not an Ethernet interface"));
     }
+    let mut mac = [0; 6];
+    for (to, from) in mac.iter_mut().zip(hardware.sa_data) {
+        *to = from as u8;
+    }
+    let vlan = vlan_of(&socket, name);
+    Ok(Interface { name: name.to_owned(), index, mac, mtu: mtu.max(0) as u32, vlan })
 }
 
 /// The request and answer of the kernel's VLAN driver.
@@ -115,28 +102,26 @@ struct VlanRequest {
     qos: libc::c_short,
 }
 
-impl Vlan {
-    fn of(socket: &OwnedFd, name: &str) -> Option<Self> {
-        const REAL_DEVICE_NAME: libc::c_int = 8;
-        const ID: libc::c_int = 9;
-        // From linux/sockios.h; missing in libc.
-        const SIOCGIFVLAN: libc::c_ulong = 0x8982;
-        let ask = |command| {
-            let mut request = VlanRequest { command, interface: [0; 24], answer: [0; 24], qos: 0 };
-            request.interface[..name.len()].copy_from_slice(name.as_bytes());
-            // SAFETY: the request takes this structure (linux/if_vlan.h) and fills it in.
-            check(unsafe { libc::ioctl(socket.as_raw_fd(), SIOCGIFVLAN as _, &raw mut request) }).ok()?;
-            Some(request.answer)
-        };
-        let lower = ask(REAL_DEVICE_NAME)?;
-        let id = ask(ID)?;
-        let lower = CStr::from_bytes_until_nul(&lower).ok()?;
-        // SAFETY: the pointer refers to a string that ends with 0.
-        let lower_index = unsafe { libc::if_nametoindex(lower.as_ptr()) };
-        // The lower interface may be in another network namespace.
-        let lower = lower.to_str().ok().filter(|_| lower_index != 0)?.to_owned();
-        Some(Self { lower, lower_index, id: u16::from_ne_bytes([id[0], id[1]]) })
-    }
+fn vlan_of(socket: &OwnedFd, name: &str) -> Option<Vlan> {
+    const REAL_DEVICE_NAME: libc::c_int = 8;
+    const ID: libc::c_int = 9;
+    // From linux/sockios.h; missing in libc.
+    const SIOCGIFVLAN: libc::c_ulong = 0x8982;
+    let ask = |command| {
+        let mut request = VlanRequest { command, interface: [0; 24], answer: [0; 24], qos: 0 };
+        request.interface[..name.len()].copy_from_slice(name.as_bytes());
+        // SAFETY: the request takes this structure (linux/if_vlan.h) and fills it in.
+        check(unsafe { libc::ioctl(socket.as_raw_fd(), SIOCGIFVLAN as _, &raw mut request) }).ok()?;
+        Some(request.answer)
+    };
+    let lower = ask(REAL_DEVICE_NAME)?;
+    let id = ask(ID)?;
+    let lower = CStr::from_bytes_until_nul(&lower).ok()?;
+    // SAFETY: the pointer refers to a string that ends with 0.
+    let lower_index = unsafe { libc::if_nametoindex(lower.as_ptr()) };
+    // The lower interface may be in another network namespace.
+    let lower = lower.to_str().ok().filter(|_| lower_index != 0)?.to_owned();
+    Some(Vlan { lower, lower_index, id: u16::from_ne_bytes([id[0], id[1]]) })
 }
 
 /// Opens the socket for data frames of an interface.
@@ -173,7 +158,7 @@ pub struct ControlSocket {
     fd: AsyncFd<OwnedFd>,
     interface: Interface,
     ethertype: u16,
-    pub discovery: Discovery,
+    discovery: Discovery,
 }
 
 impl ControlSocket {
@@ -190,9 +175,38 @@ impl ControlSocket {
         })
     }
 
+    /// Discovers switches, as [`crate::port::Port::discover`] says.
+    pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
+        let end = Instant::now() + within;
+        let (mut answers, mut until, mut next_question) = (self.discovery.listen(), end, Instant::now());
+        let mut found: Vec<(LinkAddr, Name)> = Vec::new();
+        loop {
+            let now = Instant::now();
+            if now >= until {
+                return found;
+            }
+            if now >= next_question {
+                let _ = self.send([0xff; 6], ControlHeader::SOLICIT, &[]);
+                next_question = now + SOLICIT_INTERVAL;
+            }
+            let (mac, name) = match timeout_at(until.min(next_question), answers.recv()).await {
+                Ok(Ok(answer)) => answer,
+                Ok(Err(broadcast::error::RecvError::Lagged(_))) | Err(_) => continue,
+                Ok(Err(broadcast::error::RecvError::Closed)) => return found,
+            };
+            let answer = (LinkAddr::Ethernet { ifindex: self.interface.index, mac }, name);
+            if wanted.is_none_or(|wanted| wanted == name) {
+                if found.len() < MAX_ANSWERS && !found.contains(&answer) {
+                    found.push(answer);
+                }
+                until = end.min(Instant::now() + ANSWERS_SETTLE);
+            }
+        }
+    }
+
     /// Sends one control frame. The frame is lost when the kernel has no buffer space: QUIC and
     /// discovery both retransmit.
-    pub fn send(&self, to: [u8; 6], kind: u8, payload: &[u8]) -> io::Result<()> {
+    fn send(&self, to: [u8; 6], kind: u8, payload: &[u8]) -> io::Result<()> {
         let Ok(length) = u16::try_from(payload.len()) else { return Ok(()) };
         let header = ControlHeader::new(kind, length);
         let mut iovecs = [header.as_bytes(), payload]
@@ -278,7 +292,7 @@ impl AsyncUdpSocket for ControlSocket {
                         };
                         count += 1;
                     }
-                    Ok(Ok(Some((from, kind, length)))) => self.discover(from, kind, &scratch[..length]),
+                    Ok(Ok(Some((from, kind, length)))) => self.take_discovery(from, kind, &scratch[..length]),
                     Ok(Ok(None)) => {}
                     // The interface went down or was removed. The links on it time out; the
                     // interface may come up again.
@@ -309,7 +323,7 @@ impl AsyncUdpSocket for ControlSocket {
 }
 
 impl ControlSocket {
-    fn discover(&self, from: [u8; 6], kind: u8, payload: &[u8]) {
+    fn take_discovery(&self, from: [u8; 6], kind: u8, payload: &[u8]) {
         match kind {
             ControlHeader::SOLICIT => {
                 if let Some(name) = self.discovery.answer() {
@@ -356,7 +370,7 @@ fn open(interface: &Interface, ethertype: u16, take: Take) -> io::Result<OwnedFd
         OwnedFd::from_raw_fd(check(libc::socket(libc::AF_PACKET, flags, 0))?)
     };
     let buffer = if take == Take::Control { CONTROL_BUFFER } else { DATA_BUFFER };
-    sys::set_buffers(fd.as_fd(), buffer, buffer / 4);
+    sys::set_buffers(&fd, buffer, buffer / 4);
     attach_filter(&fd, take)?;
     let addr = RawAddr::station(interface.index, [0; 6], ethertype);
     // SAFETY: the pointer refers to an address of the given length.

@@ -51,5 +51,5 @@ impl Discovery {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/port/discover.rs"]
+#[path = "../../../tests/unit/port/linux/discover.rs"]
 mod tests;

@@ -1,4 +1,4 @@
-//! Unit tests of `port::discover`.
+//! Unit tests of `port::linux::discover`.
 
 use super::*;
 

@@ -20,12 +20,15 @@ use quinn::{AsyncUdpSocket, UdpPoller};
 use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
-use super::batch::RecvBatch;
 use super::control::Control;
-use super::misdelivered::{Frames, Packets};
-use super::route_mtu::{RouteMtu, UDP_MTU};
-use super::sys::{self, RawAddr, WakeFd, step};
-use super::{LinkAddr, host};
+use super::host_id;
+use super::misdelivered::Packets;
+use super::route_mtu::RouteMtu;
+use super::sys::{self, RawAddr, step};
+use super::wake::WakeEvent;
+use crate::port::LinkAddr;
+use crate::port::batch::{RecvBatch, UDP_MTU};
+use crate::port::frame_queue::{FrameQueue, segments};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
 /// kernel's memory.
@@ -34,6 +37,9 @@ const QUIC_BUFFER: usize = 4 << 20;
 
 /// Number of data runs per receive call, of up to [`LONGEST_RUN`] bytes each.
 const RUNS: usize = 16;
+
+/// Maximum number of data frames from the QUIC socket that wait for the data thread.
+const MOST_STRAYS: usize = 1024;
 
 /// Maximum length of a run that the kernel joins, in bytes.
 const LONGEST_RUN: usize = 1 << 16;
@@ -47,7 +53,9 @@ pub struct SharedUdp {
     host: Option<u64>,
     route_mtu: RouteMtu,
     stray_packets: Packets,
-    stray_frames: Frames,
+    stray_frames: FrameQueue,
+    /// Set when data frames are queued.
+    wake: Arc<WakeEvent>,
 }
 
 impl SharedUdp {
@@ -58,25 +66,27 @@ impl SharedUdp {
         // `UdpSocketState` enables GRO, as `prepare_data` does for data. When the kernel joins
         // datagrams, it checks the setting of either socket.
         let state = UdpSocketState::new((&quic).into())?;
-        sys::set_buffers(quic.as_fd(), QUIC_BUFFER, QUIC_BUFFER);
-        sys::set_buffers(data.as_fd(), DATA_BUFFER, QUIC_BUFFER);
+        sys::set_buffers(&quic, QUIC_BUFFER, QUIC_BUFFER);
+        sys::set_buffers(&data, DATA_BUFFER, QUIC_BUFFER);
         let bound = quic.local_addr()?;
         let v6 = bound.is_ipv6();
         prepare_data(data.as_fd(), v6)?;
-        let takes_all = interface.is_none() && bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
+        let takes_all =
+            interface.is_none() && bound.ip().is_unspecified() && (!v6 || host_id::takes_ipv4(quic.as_fd()));
         // Data frames need no UDP checksum: the hop tag covers what switches forward by, decryption
         // the rest. QUIC verifies its packets.
         let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,
             zero_checksums: v6 && no_check(quic.as_fd()) && no_check(data.as_fd()),
-            host: if takes_all { host::id(quic.as_fd()) } else { None },
+            host: if takes_all { host_id::id(quic.as_fd()) } else { None },
             route_mtu: RouteMtu::open(bound, interface)?,
             quic: UdpSocket::from_std(quic)?,
             state,
             data,
             stray_packets: Packets::default(),
-            stray_frames: Frames::new()?,
+            stray_frames: FrameQueue::new(MOST_STRAYS),
+            wake: Arc::new(WakeEvent::new()?),
         })
     }
 
@@ -89,7 +99,7 @@ impl SharedUdp {
         self.zero_checksums
     }
 
-    /// Returns the [host id](host::id), if the sockets accept datagrams at all IPv4 addresses of
+    /// Returns the [host id](host_id::id), if the sockets accept datagrams at all IPv4 addresses of
     /// the host.
     pub fn host(&self) -> Option<u64> {
         self.host
@@ -106,8 +116,8 @@ impl SharedUdp {
     }
 
     /// Returns the event that is set when data frames from the QUIC socket are queued.
-    pub fn data_wake(&self) -> Arc<WakeFd> {
-        self.stray_frames.wake()
+    pub fn data_wake(&self) -> Arc<WakeEvent> {
+        self.wake.clone()
     }
 
     pub fn has_stray_data(&self) -> bool {
@@ -150,19 +160,25 @@ impl SharedUdp {
                 (libc::IPPROTO_IP, libc::IP_TOS) | (libc::IPPROTO_IPV6, libc::IPV6_TCLASS) => traffic = value,
                 _ => {}
             });
-            self.split(batch, i, FrameRun { from, length, segment, traffic });
+            self.split(batch, i, from, (length, segment), traffic);
         }
         Ok(())
     }
 
-    fn split(&self, batch: &mut RecvBatch, slot: usize, run: FrameRun) {
-        let from = LinkAddr::udp(run.from);
-        for (at, length) in run.segments() {
+    fn split(
+        &self,
+        batch: &mut RecvBatch,
+        slot: usize,
+        from: SocketAddr,
+        (length, segment): (usize, usize),
+        traffic: libc::c_int,
+    ) {
+        for (at, length) in segments(length, segment) {
             let datagram = &batch.slot(slot, LONGEST_RUN)[at..at + length];
             if datagram[0] < FIRST_QUIC_BYTE {
-                batch.add(slot * LONGEST_RUN + at, length, from, run.traffic & ECN == CE);
+                batch.add(slot * LONGEST_RUN + at, length, LinkAddr::udp(from), traffic & ECN == CE);
             } else {
-                self.stray_packets.put(run.from, EcnCodepoint::from_bits(run.traffic as u8), datagram);
+                self.stray_packets.put(from, EcnCodepoint::from_bits(traffic as u8), datagram);
             }
         }
     }
@@ -171,22 +187,6 @@ impl SharedUdp {
 /// The ECN bits of the IP traffic class, and the mark that a congested router sets (RFC 3168).
 const ECN: libc::c_int = 3;
 const CE: libc::c_int = 3;
-
-/// Datagrams that the kernel joined. All have the same length, except that the last may be shorter.
-struct FrameRun {
-    from: SocketAddr,
-    length: usize,
-    segment: usize,
-    traffic: libc::c_int,
-}
-
-impl FrameRun {
-    /// Returns the offset and length of each datagram.
-    fn segments(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (length, segment) = (self.length, self.segment.max(1));
-        (0..length).step_by(segment).map(move |at| (at, segment.min(length - at)))
-    }
-}
 
 /// Binds two sockets to one address. No other process can share it: the first socket is bound
 /// without sharing. The first socket of another process would therefore fail to bind.
@@ -256,7 +256,9 @@ impl AsyncUdpSocket for SharedUdp {
                 // An ICMP error that a peer provoked must not end the endpoint.
                 Err(_) => 0,
             };
-            bufs.iter_mut().zip(&mut *meta).take(received).for_each(|(buf, meta)| self.keep_packets(buf, meta));
+            if self.stray_frames.take_from(&mut bufs[..received], &mut meta[..received]) {
+                self.wake.set();
+            }
             if received > 0 {
                 return Poll::Ready(Ok(received));
             }
@@ -280,23 +282,6 @@ impl AsyncUdpSocket for SharedUdp {
 
     fn may_fragment(&self) -> bool {
         self.state.may_fragment()
-    }
-}
-
-impl SharedUdp {
-    /// Removes data frames from a run that begins with a QUIC packet.
-    fn keep_packets(&self, buf: &mut [u8], meta: &mut RecvMeta) {
-        let run = FrameRun { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
-        let (congested, mut kept) = (meta.ecn == Some(EcnCodepoint::Ce), 0);
-        for (at, length) in run.segments() {
-            if buf[at] < FIRST_QUIC_BYTE {
-                self.stray_frames.put(LinkAddr::udp(meta.addr), congested, &buf[at..at + length]);
-            } else {
-                buf.copy_within(at..at + length, kept);
-                kept += length;
-            }
-        }
-        meta.len = kept;
     }
 }
 
