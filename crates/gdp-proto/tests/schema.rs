@@ -1,6 +1,6 @@
 //! Control messages: `docs/vectors/control.json` has each kind of request and response, and
-//! messages that are refused. `GDP_WRITE_VECTORS=1 cargo test -p gdp-proto --test schema` writes the
-//! file anew. The same bytes are validated against `docs/gdp.cddl`.
+//! messages that are refused. `GDP_WRITE_VECTORS=1 cargo test -p gdp-proto --test schema` writes
+//! the file anew. The same bytes are validated against `docs/gdp.cddl`.
 
 #[path = "../../gdp-core/tests/examples/mod.rs"]
 mod examples;

@@ -4,12 +4,11 @@
 
 use coset::TaggedCborSerializable;
 use gdp_core::cbor;
-use gdp_core::cert::Adjoining;
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{
-    AdCert, Advert, AdvertOp, Claims, Delegation, Enrollment, Grantee, Host, Invite, LinkState, MemberCert, Membership,
-    MembershipRenewal, PeerCert, PeerRights, ReadGrant, RenewalDelegation, Revocation, RtCert, Signed, SwitchStatement,
-    TopicsOf,
+    AdCert, Adjoining, Advert, AdvertOp, Claims, Delegation, Enrollment, Grantee, Host, Invite, LinkState, MemberCert,
+    Membership, MembershipRenewal, PeerCert, PeerRights, ReadGrant, RenewalDelegation, Revocation, RtCert, Signed,
+    SwitchStatement, TopicsOf,
 };
 use gdp_core::crypto::Backend;
 use gdp_core::identity::{Identity, SigningKey};
