@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use crate::{shell, workspace};
 
 /// The targets of rustc that the SDK is checked for.
-pub const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "aarch64-apple-darwin", "x86_64-apple-darwin"];
+pub const TARGETS: [&str; 2] = ["x86_64-pc-windows-gnu", "aarch64-apple-darwin"];
 
 /// Returns the command that checks the SDK and all of this workspace that it depends on.
 pub fn command() -> Result<Command> {

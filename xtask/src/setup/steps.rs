@@ -409,8 +409,8 @@ pub const STEPS: &[SetupStep] = &[
         what: "Rust's standard library for Windows and macOS",
         why: "the SDK has to compile for them",
         present: || portable::TARGETS.into_iter().all(has_target),
-        commands: &["rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin x86_64-apple-darwin"],
-        elsewhere: "rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin x86_64-apple-darwin",
+        commands: &["rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin"],
+        elsewhere: "rustup target add x86_64-pc-windows-gnu aarch64-apple-darwin",
         ..NOTHING
     },
     SetupStep {
