@@ -61,6 +61,7 @@ programs! {
     Mount = "mount",
     Nft = "nft",
     Objcopy = "objcopy",
+    ObjcopyArm64 = "aarch64-linux-gnu-objcopy",
     Openssl = "openssl",
     /// Started by build scripts as well.
     PkgConfig = "pkg-config",

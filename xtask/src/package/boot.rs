@@ -65,7 +65,10 @@ fn boot(kernel: &Path, initrd: &Path, disk: &Path) -> Result<()> {
     qemu.args(["-M", "q35", "-accel", "tcg,thread=multi", "-cpu", "Nehalem", "-smp", "2", "-m", "2048", "-nographic"]);
     qemu.args(["-no-reboot", "-nic", "none", "-drive"]).arg(format!("file={},format=raw,if=virtio", disk.display()));
     qemu.arg("-kernel").arg(kernel).arg("-initrd").arg(initrd);
-    qemu.args(["-append", "root=/dev/vda rw console=ttyS0 quiet systemd.show_status=0 net.ifnames=0"]);
+    qemu.args([
+        "-append",
+        "root=/dev/vda rw console=ttyS0 quiet systemd.show_status=0 systemd.getty_auto=0 net.ifnames=0",
+    ]);
     let mut machine = Process::spawn("machine", qemu, logs.path())?;
     let (begun, mut shown) = (Instant::now(), 0);
     loop {

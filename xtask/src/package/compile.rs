@@ -50,8 +50,6 @@ pub fn executables(options: &Build) -> Result<Executables> {
     let own = workspace::target().join(ZIG_ENVIRONMENT).join("bin");
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::env::join_paths(std::iter::once(own).chain(std::env::split_paths(&paths)));
-    // No tool of this machine strips the other architecture.
-    command.env(format!("CARGO_PROFILE_{}_STRIP", profile.name().to_uppercase()), "symbols");
     command.env("PATH", paths.context("the target folder has a colon in its path")?);
     shell::say_and_run(&mut command)?;
     let built = Executables::of(&workspace::target().join(target).join(profile.name()))?;

@@ -86,9 +86,8 @@ fn executable(from: &Path, to: &Path, build: &Build) -> Result<()> {
     fs::create_dir_all(to.parent().context("a folder")?)?;
     fs::copy(from, to).with_context(|| format!("cannot copy {}", from.display()))?;
     fs::set_permissions(to, Permissions::from_mode(0o755))?;
-    if build.arch.is_native() {
-        execute(Program::Objcopy.command().arg("--strip-all").arg(to))?;
-    }
+    let objcopy = if build.arch.is_native() { Program::Objcopy } else { Program::ObjcopyArm64 };
+    execute(objcopy.command().arg("--strip-all").arg(to))?;
     Ok(())
 }
 
