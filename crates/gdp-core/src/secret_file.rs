@@ -144,7 +144,11 @@ fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
 fn check_owner(path: &Path, owner: u32) -> Result<(), SecretFileError> {
     let Some(own) = os::user() else { return Ok(()) };
     let io = |source| SecretFileError::Io { path: path.into(), action: "examine", source };
-    if [own, 0].contains(&owner) || own == 0 && os::owner(&folder_of(path).metadata().map_err(io)?) == Some(owner) {
+    if [own, 0].contains(&owner) {
+        return Ok(());
+    }
+    let of_folder = |path: PathBuf| folder_of(&path).metadata();
+    if own == 0 && os::owner(&path.canonicalize().and_then(of_folder).map_err(io)?) == Some(owner) {
         return Ok(());
     }
     Err(SecretFileError::OfAnother { path: path.into(), owner, own })

@@ -9,7 +9,7 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 
 /// The difference from which on it counts.
-const LEAST: Duration = Duration::from_secs(2);
+const LEAST: Duration = Duration::from_secs(5);
 
 /// Time for which a difference is shown, and the minimum time between two lines about a peer.
 /// Readers ask again three times in it while messages are refused.
@@ -42,12 +42,14 @@ struct StatedClock {
 
 impl ClockDifferences {
     /// Records by how many nanoseconds the clock of a peer is ahead, and logs it if that is new.
-    /// `refuses` is that of [`ClockDifference`].
+    /// `refuses` is that of [`ClockDifference`]. Messages are too old only for a clock that is ahead
+    /// of the writer's.
     pub fn record(&self, now: Instant, peer: Name, ahead_ns: i64, refuses: bool) {
         let difference = ClockDifference { peer, ahead_ms: ahead_ns / 1_000_000, refuses };
         let mut peers = self.0.lock();
-        if Duration::from_nanos(ahead_ns.unsigned_abs()) < LEAST {
-            // What was too old was late.
+        let is_cause = refuses == (ahead_ns > 0);
+        if Duration::from_nanos(ahead_ns.unsigned_abs()) < LEAST || !is_cause {
+            // What was too old was late, or is an old message again.
             peers.remove(&peer);
             return;
         }

@@ -29,6 +29,10 @@ use gdp_wire::Name;
 const FIRST_PAUSE: u64 = 1_000_000_000;
 const LONGEST_PAUSE: u64 = 60_000_000_000;
 
+/// Minimum interval in nanoseconds between two key boxes of readers that are verified. Readers show
+/// theirs several times.
+const BETWEEN_SHOWN: u64 = 100_000_000;
+
 pub struct Sealer {
     pub session: [u8; 16],
     pub topic: TopicId,
@@ -57,6 +61,8 @@ struct Sealing {
     refused: bool,
     /// Number of statements that the RIB has taken.
     statements: u64,
+    /// The time from which on another key box of a reader is verified.
+    shown_again_at: u64,
 }
 
 struct Unstored {
@@ -103,6 +109,7 @@ impl Sealer {
             unstored: None,
             refused: false,
             statements: 0,
+            shown_again_at: 0,
         };
         let (scheduler, ending, sealing) = (scheduler.clone(), ending.clone(), Mutex::new(sealing));
         Ok(Self { session, topic, name, scheduler, ending, sealing })
@@ -301,7 +308,14 @@ impl Sealer {
     /// Processes the newest key box that a reader holds of this writer. Returns whether an epoch is
     /// to follow that one.
     pub fn take_newest(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
-        let follows = self.sealing.lock().ring.take_newest(reader, key_box);
+        let follows = {
+            let (sealing, now) = (&mut *self.sealing.lock(), self.scheduler.clock.now());
+            if now < sealing.shown_again_at {
+                return false;
+            }
+            sealing.shown_again_at = now + BETWEEN_SHOWN;
+            sealing.ring.take_newest(reader, key_box)
+        };
         if follows {
             tracing::warn!(name = %self.name, "an earlier run used later epochs, so the clock has been set back; going on \
                                              after those");

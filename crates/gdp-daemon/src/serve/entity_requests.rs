@@ -59,17 +59,16 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
 fn refused(daemon: &Daemon, link: &Link, refusal: &Refusal) {
     let (entity, code, reason, now) = (link.peer().name, refusal.code, &refusal.reason, Instant::now());
     let is_lasting = !matches!(code, RefusalCode::Unreachable | RefusalCode::NotAttached);
-    let is_new = {
+    let is_told = {
         let core = &mut *daemon.core();
-        if is_lasting {
-            core.events.tell(Event::RegistrationRefused { entity, code, reason: reason.clone() });
+        let is_new = core.switch.recent_refusals.add(entity, RefusedThing::Registration, Some(code), reason, now);
+        if is_new && is_lasting {
+            let reason = recent_refusals::shortened(reason).to_owned();
+            core.events.tell(Event::RegistrationRefused { entity, code, reason });
         }
-        core.switch.recent_refusals.add(entity, RefusedThing::Registration, Some(code), reason, now)
+        is_new && is_lasting
     };
-    if is_lasting
-        && is_new
-        && let Some(suppressed) = recent_refusals::LINES.take(now)
-    {
+    if is_told && let Some(suppressed) = recent_refusals::REGISTRATION_LINES.take(now) {
         tracing::warn!(entity = %format_args!("{entity:#}"), ?code, %reason, suppressed, "refused a registration");
     }
 }

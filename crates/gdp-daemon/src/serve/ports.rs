@@ -202,7 +202,7 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
             switch.recent_refusals.add(peer, RefusedThing::Link, None, &reason, std::time::Instant::now());
             switch.refused(peer, &via, &reason)
         };
-        if is_new && let Some(suppressed) = recent_refusals::LINES.take(std::time::Instant::now()) {
+        if is_new && let Some(suppressed) = recent_refusals::LINK_LINES.take(std::time::Instant::now()) {
             tracing::warn!(peer = %format_args!("{peer:#}"), %reason, suppressed, "refused a link");
         }
     }

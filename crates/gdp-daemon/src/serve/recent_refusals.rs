@@ -21,8 +21,10 @@ const MAX_REASON: usize = 512;
 const SLOTS: usize = 6;
 const SLOT: Duration = Duration::from_secs(10);
 
-/// The limit on log lines about refusals. Anybody can make keys, and each is a new peer.
-pub static LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
+/// The limits on log lines about refused links and registrations. Anybody can make keys, and each is
+/// a new peer. Only who has a link can register.
+pub static LINK_LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
+pub static REGISTRATION_LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
 
 #[derive(Debug)]
 pub struct RecentRefusals {
@@ -71,7 +73,7 @@ impl RecentRefusals {
         let count = &mut entry.counts[slot as usize % SLOTS];
         *count = count.saturating_add(1);
         entry.at = now;
-        let reason = &reason[..reason.floor_char_boundary(MAX_REASON)];
+        let reason = shortened(reason);
         let is_new = !differ_in_digits_at_most(&entry.reason, reason);
         entry.reason = reason.to_owned();
         is_new
@@ -100,6 +102,11 @@ impl RecentRefusals {
     fn slot(&self, now: Instant) -> u64 {
         now.saturating_duration_since(self.start).as_secs() / SLOT.as_secs()
     }
+}
+
+/// Returns the part of a reason that is kept.
+pub fn shortened(reason: &str) -> &str {
+    &reason[..reason.floor_char_boundary(MAX_REASON)]
 }
 
 impl Refusals {

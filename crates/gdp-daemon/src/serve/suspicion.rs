@@ -108,7 +108,8 @@ fn look(daemon: &Daemon, bursts: &mut Bursts) {
     }
     let counts = daemon.port_config.handshakes.read();
     let (what, burst) = HANDSHAKES;
-    let value = counts.challenged + counts.refused + counts.displaced + counts.failed;
+    // Who was challenged mostly gets a link.
+    let value = counts.refused + counts.displaced + counts.failed;
     if let Some(count) = bursts.take(what, value, burst, now) {
         tracing::warn!(count, "handshakes of peers came to no link; `gdp-ctl status` tells how they ended");
         core.events.tell(Event::Suspicious { what: what.into(), count, peer: None });

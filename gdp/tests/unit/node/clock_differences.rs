@@ -16,15 +16,18 @@ fn a_difference_is_shown_for_a_minute_after_it_was_last_stated() {
     let text = clocks.all(seconds(120))[0].to_string();
     assert!(text.contains("its clock is 3600 s ahead of the one here"), "{text}");
     assert!(text.contains(&format!("{peer:#} refuses")), "{text}");
-    clocks.record(seconds(121), peer, 1_900_000_000, true);
+    clocks.record(seconds(121), peer, 4_900_000_000, true);
     assert_eq!(clocks.all(seconds(121)), vec![], "a message was late");
+    clocks.record(seconds(122), peer, HOUR, false);
+    assert_eq!(clocks.all(seconds(122)), vec![], "a message of a clock that is ahead is not too old for that");
 }
 
 #[test]
 fn extreme_times_and_many_peers_are_bounded() {
     let (clocks, start) = (ClockDifferences::default(), Instant::now());
     for i in 0..MAX_PEERS as u64 + 10 {
-        clocks.record(start + Duration::from_millis(i), name(i), if i % 2 == 0 { i64::MIN } else { i64::MAX }, true);
+        let ahead_ns = if i % 2 == 0 { i64::MIN } else { i64::MAX };
+        clocks.record(start + Duration::from_millis(i), name(i), ahead_ns, ahead_ns > 0);
     }
     let all = clocks.all(start + Duration::from_secs(1));
     assert_eq!(all.len(), MAX_PEERS);
