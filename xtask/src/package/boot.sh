@@ -11,7 +11,11 @@ fail() {
     exit 1
 }
 active() {
-    systemctl is-active --quiet "$1" || fail "$1 is not active"
+    for _ in $(seq 90); do
+        systemctl is-active --quiet "$1" && return
+        sleep 1
+    done
+    fail "$1 is not active"
 }
 
 cd /root || exit 1
@@ -67,7 +71,6 @@ for _ in $(seq 90); do
 done
 journalctl --no-pager -u gdp-switch | grep -i watchdog | head -2
 [ "$now" != "$pid" ] && [ "$now" != 0 ] || fail "the watchdog did not start a stopped switch again"
-sleep 5
 active gdp-switch
 echo "== upgrade"
 apt-get -qq install -y ./new/*.deb >apt.log 2>&1 || { cat apt.log; fail upgrade; }
