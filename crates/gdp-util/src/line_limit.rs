@@ -5,13 +5,14 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 
 /// Lets the first lines of each period pass, and counts the others.
+#[derive(Debug)]
 pub struct LineLimit {
     lines: u32,
     period: Duration,
     current: Mutex<Period>,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Period {
     begun: Option<Instant>,
     passed: u32,

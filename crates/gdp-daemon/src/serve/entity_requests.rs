@@ -59,16 +59,17 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
 fn refused(daemon: &Daemon, link: &Link, refusal: &Refusal) {
     let (entity, code, reason, now) = (link.peer().name, refusal.code, &refusal.reason, Instant::now());
     let is_lasting = !matches!(code, RefusalCode::Unreachable | RefusalCode::NotAttached);
-    let is_told = {
+    let line = {
         let core = &mut *daemon.core();
         let is_new = core.switch.recent_refusals.add(entity, RefusedThing::Registration, Some(code), reason, now);
-        if is_new && is_lasting {
-            let reason = recent_refusals::shortened(reason).to_owned();
-            core.events.tell(Event::RegistrationRefused { entity, code, reason });
+        if !is_new || !is_lasting {
+            return;
         }
-        is_new && is_lasting
+        let reason = recent_refusals::shortened(reason).to_owned();
+        core.events.tell(Event::RegistrationRefused { entity, code, reason });
+        core.switch.recent_refusals.line(RefusedThing::Registration, now)
     };
-    if is_told && let Some(suppressed) = recent_refusals::REGISTRATION_LINES.take(now) {
+    if let Some(suppressed) = line {
         tracing::warn!(entity = %format_args!("{entity:#}"), ?code, %reason, suppressed, "refused a registration");
     }
 }

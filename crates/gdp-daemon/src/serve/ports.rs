@@ -22,7 +22,7 @@ use tokio::time::{Instant, sleep};
 
 use super::daemon::Daemon;
 use super::start_error::StartError;
-use super::{interfaces, links, recent_refusals};
+use super::{interfaces, links};
 use crate::config::{Neighbour, NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
@@ -197,12 +197,13 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
 async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let peer = link.peer().name;
     if let Err(reason) = links::take(daemon, link, via.clone()).await {
-        let is_new = {
-            let switch = &mut daemon.core().switch;
-            switch.recent_refusals.add(peer, RefusedThing::Link, None, &reason, std::time::Instant::now());
-            switch.refused(peer, &via, &reason)
+        let line = {
+            let (switch, now) = (&mut daemon.core().switch, std::time::Instant::now());
+            switch.recent_refusals.add(peer, RefusedThing::Link, None, &reason, now);
+            let is_new = switch.refused(peer, &via, &reason);
+            is_new.then(|| switch.recent_refusals.line(RefusedThing::Link, now)).flatten()
         };
-        if is_new && let Some(suppressed) = recent_refusals::LINK_LINES.take(std::time::Instant::now()) {
+        if let Some(suppressed) = line {
             tracing::warn!(peer = %format_args!("{peer:#}"), %reason, suppressed, "refused a link");
         }
     }

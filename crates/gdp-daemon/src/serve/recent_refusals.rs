@@ -21,10 +21,9 @@ const MAX_REASON: usize = 512;
 const SLOTS: usize = 6;
 const SLOT: Duration = Duration::from_secs(10);
 
-/// The limits on log lines about refused links and registrations. Anybody can make keys, and each is
-/// a new peer. Only who has a link can register.
-pub static LINK_LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
-pub static REGISTRATION_LINES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
+/// Maximum number of log lines about each thing in a minute. Anybody can make keys, and each is a
+/// new peer.
+const LINES: u32 = 10;
 
 #[derive(Debug)]
 pub struct RecentRefusals {
@@ -32,6 +31,8 @@ pub struct RecentRefusals {
     entries: HashMap<(Name, &'static str), Refusals>,
     /// All refusals since the start, by thing and kind. Both are of closed sets.
     total: BTreeMap<&'static str, Counts>,
+    link_lines: LineLimit,
+    registration_lines: LineLimit,
 }
 
 #[derive(Debug)]
@@ -46,7 +47,16 @@ struct Refusals {
 
 impl RecentRefusals {
     pub fn new(start: Instant) -> Self {
-        Self { start, entries: HashMap::new(), total: BTreeMap::new() }
+        let [link_lines, registration_lines] = [(); 2].map(|()| LineLimit::new(LINES, Duration::from_secs(60)));
+        Self { start, entries: HashMap::new(), total: BTreeMap::new(), link_lines, registration_lines }
+    }
+
+    /// Asks for a log line about a refusal, as [`LineLimit::take`] does.
+    pub fn line(&self, what: RefusedThing, now: Instant) -> Option<u64> {
+        match what {
+            RefusedThing::Link => self.link_lines.take(now),
+            RefusedThing::Registration => self.registration_lines.take(now),
+        }
     }
 
     /// Records a refusal. Registrations have a code, links only a reason. Returns whether the last
