@@ -82,6 +82,11 @@ impl SendPath {
         self.reroute(self.links.end_stale(self.clock.now(), lane));
     }
 
+    /// Resumes the use of a stale link.
+    pub fn resume_stale(&self, attachment: &Arc<Attachment>) {
+        self.reroute(self.links.resume_stale(self.clock.now(), attachment));
+    }
+
     /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, lane: usize, silent: bool) {
         self.reroute(self.links.set_silent(self.clock.now(), lane, silent));

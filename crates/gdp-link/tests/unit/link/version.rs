@@ -120,6 +120,7 @@ fn config(versions: Versions, role: Role) -> HelloConfig {
         host: None,
         pair: CurrentPair::default(),
         run: None,
+        echo_interval: None,
         credentials: Default::default(),
         versions,
         rekey: RekeySchedule::default(),
