@@ -23,7 +23,19 @@ impl BridgedCable {
     /// Lays a cable between two ends.
     pub fn lay(left: &End, right: &End, mtu: u32) -> Result<Self> {
         let at = Namespace::create("wire")?;
-        at.ip(&["link", "add", BRIDGE, "type", "bridge", "mcast_snooping", "0", "stp_state", "0", "forward_delay", "0"])?;
+        at.ip(&[
+            "link",
+            "add",
+            BRIDGE,
+            "type",
+            "bridge",
+            "mcast_snooping",
+            "0",
+            "stp_state",
+            "0",
+            "forward_delay",
+            "0",
+        ])?;
         for (end, interface, number) in [(left, LEFT, 3), (right, RIGHT, 4)] {
             veth(end, &End { namespace: &at, interface, mac: [0x02, 0, 0, 0, 0xff, number] }, mtu)?;
             at.ip(&["link", "set", interface, "master", BRIDGE])?;

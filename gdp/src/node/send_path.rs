@@ -15,6 +15,7 @@ use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
+use super::attachment::Attachment;
 use super::clock::Clock;
 use super::config::LinkConfig;
 use super::counters::Counters;

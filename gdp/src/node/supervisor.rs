@@ -17,7 +17,9 @@ use super::command::{Command, RibUpdate};
 use super::config::LinkConfig;
 use super::dialler::Dialler;
 use super::error::NodeError;
-use super::link_tasks::{ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_stale, watch_tunnel};
+use super::link_tasks::{
+    ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_stale, watch_tunnel,
+};
 use super::links::Connection;
 use super::network::Network;
 use super::pause::{BACKOFF, ExpediteToken};

@@ -56,12 +56,26 @@ pub async fn watch(daemon: Arc<Daemon>, link: Link) {
     }
 }
 
+/// Waits until the data plane at the other end of a live link does not answer.
+pub async fn until_silent(daemon: &Daemon, link: &Link) {
+    loop {
+        let silent = daemon.silent.notified();
+        if daemon.core().switch.links.get(&link.local_id()).is_some_and(|state| !state.answers) {
+            return;
+        }
+        silent.await;
+    }
+}
+
 /// Handles a link that has become silent, or alive again. Returns whether to probe on.
 fn react(daemon: &Arc<Daemon>, link: &Link, is_silent: bool) -> bool {
     let peer = format_args!("{:#}", link.peer().name).to_string();
     if link.peer().role == Role::Switch {
         match is_silent {
-            true => tracing::warn!(peer, "the data plane of the switch does not answer; frames avoid its link"),
+            true => {
+                tracing::warn!(peer, "the data plane of the switch does not answer; frames avoid its link");
+                daemon.silent.notify_waiters();
+            }
             false => tracing::info!(peer, "the data plane of the switch answers again"),
         }
         daemon.topology_changed();

@@ -75,7 +75,9 @@ impl Neighbours {
     pub fn adjacencies(&self, switch: &Switch) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
         let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
-        let live = live.map(|state| (Some(state.answers), state.role(), state.link.peer().name, Some(&state.admission.relationship)));
+        let live = live.map(|state| {
+            (Some(state.answers), state.role(), state.link.peer().name, Some(&state.admission.relationship))
+        });
         let stale = switch.stale.iter().filter(|stale| stale.answers && switch.has_carrier(stale.to));
         let stale = stale.map(|stale| (None, stale.entry.role, stale.peer, stale.relationship.as_ref()));
         let mut all = Adjacencies::default();

@@ -53,7 +53,10 @@ impl Switch {
             address: to.to_string(),
         });
         let (since, traces, inspections) = (Instant::now(), Allowance::default(), inspections());
-        self.links.insert(id, LinkState { link: link.clone(), via, since, admission, traces, inspections, entry, to, answers: true });
+        self.links.insert(
+            id,
+            LinkState { link: link.clone(), via, since, admission, traces, inspections, entry, to, answers: true },
+        );
         let changes = self.routes.link_up(role, peer, lane, id);
         self.apply(changes);
         Ok(replaced)
@@ -105,7 +108,8 @@ impl Switch {
         }
         let time = if is_replaced { GRACE } else { GRACEFUL_RESTART_TIME };
         let (until, id) = (Instant::now() + time, Reservation::Closed { link });
-        let stale = StaleLink { peer, lane, role, entry, to, until, answers, relationship: Some(admission.relationship), id };
+        let stale =
+            StaleLink { peer, lane, role, entry, to, until, answers, relationship: Some(admission.relationship), id };
         if let Some(first) = self.stale.keep(stale) {
             self.release(first);
         }
