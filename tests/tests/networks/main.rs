@@ -44,6 +44,7 @@ mod roaming;
 mod same_host;
 mod selfheal;
 mod selfheal_domains;
+mod silence;
 mod soak;
 mod star;
 mod trace;
