@@ -97,7 +97,7 @@ pub async fn watch_stale(send_path: &SendPath, attachment: &Arc<Attachment>, unt
     let probing = async {
         let mut detector = Detector::default();
         loop {
-            let step = attachment.probe(&mut detector, attachment.link.pace());
+            let step = attachment.probe(&mut detector, Pace::of(attachment.link.addr()));
             match (step.changed, detector.is_silent()) {
                 (true, true) => {
                     tracing::warn!("nothing is sent to the switch for now: its data plane does not answer either");

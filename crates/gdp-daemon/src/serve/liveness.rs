@@ -60,7 +60,7 @@ pub async fn watch(daemon: Arc<Daemon>, link: Link) {
 pub async fn until_silent(daemon: &Daemon, link: &Link) {
     loop {
         let silent = daemon.silent.notified();
-        if daemon.core().switch.links.get(&link.local_id()).is_some_and(|state| !state.answers) {
+        if !daemon.core().switch.answers(link) {
             return;
         }
         silent.await;

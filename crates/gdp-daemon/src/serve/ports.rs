@@ -280,6 +280,9 @@ async fn dial_when_silent(daemon: &Daemon, port: &Port, link: &Link, via: &Via, 
     loop {
         liveness::until_silent(daemon, link).await;
         sleep(delay.next_delay()).await;
+        if daemon.core().switch.answers(link) {
+            continue;
+        }
         match dial(daemon, port, switch, via).await {
             Ok(link) => return link,
             Err(error) => tracing::debug!(switch = %format_args!("{switch:#}"), %error, "it does not answer either"),

@@ -26,6 +26,10 @@ const RECENT: Duration = Duration::from_secs(10);
 /// The shortest interval between echoes on a link that is silent.
 const SILENT_INTERVAL: Duration = Duration::from_millis(200);
 
+/// The schedule of a new link until its first sign of life, 3 s at most. The peer may not have
+/// installed the link yet.
+const STARTING: Pace = Pace::steady(200, 15);
+
 /// Number of steps in a row with a sign of life after which a silent link is alive again.
 const RECOVERED: usize = 3;
 
@@ -131,6 +135,8 @@ impl Unanswered {
 pub struct Detector {
     open: Unanswered,
     silent: bool,
+    /// Whether there has been a sign of life.
+    started: bool,
     /// Number of steps in a row with a sign of life.
     alive: usize,
     last: Option<Last>,
@@ -155,9 +161,11 @@ impl Detector {
     /// Advances the state; call after [`Step::wait`]. The caller sends an echo with `cookie`, which
     /// is random, now. `now` counts from any start.
     pub fn step(&mut self, now: Duration, pace: Pace, sample: Sample, cookie: u64) -> Step {
-        let interval = pace.interval.max(sample.rtt);
         let is_settled = self.open.settle(sample.answer);
         let is_received = self.last.is_some_and(|last| last.received != sample.received);
+        self.started |= is_settled || is_received;
+        let pace = if self.started || pace.idle == pace.interval { pace } else { STARTING };
+        let interval = pace.interval.max(sample.rtt);
         let is_late = self.last.is_some_and(|last| now > last.due + last.slack);
         if is_received || is_late {
             self.open.open.clear();

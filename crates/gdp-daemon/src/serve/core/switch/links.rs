@@ -130,6 +130,12 @@ impl Switch {
         }
     }
 
+    /// Returns whether the data plane at the other end of a live link answers echoes. A link that is
+    /// not live counts as if it did.
+    pub fn answers(&self, link: &Link) -> bool {
+        self.links.get(&link.local_id()).is_none_or(|state| state.answers)
+    }
+
     /// Removes a stale link because it has expired, or because nothing forwards at its other end.
     /// Returns its peer, if that is an attached endpoint without any other link.
     pub fn release(&mut self, id: u32) -> Option<Name> {
