@@ -154,7 +154,8 @@ impl Ring {
         self.nodes[i].ip(&["link", "set", "r0", state]).map(drop)
     }
 
-    /// Blocks every frame between s1 and s2, or lets all frames pass again. Both keep their carrier.
+    /// Blocks every frame between s1 and s2, or lets all frames pass again. Both keep their
+    /// carrier.
     pub fn cut_wire(&self, cut: bool) -> Result<()> {
         self.wire.as_ref().context("this ring was built without a wire")?.cut(cut)
     }

@@ -143,8 +143,8 @@ impl Link {
         self.0.peer_run.zip(other.0.peer_run).is_some_and(|(own, other)| own != other)
     }
 
-    /// Returns the schedule of echoes while QUIC is alive. Peers of earlier releases negotiate none,
-    /// and are sent echoes only after QUIC has fallen silent.
+    /// Returns the schedule of echoes while QUIC is alive. Peers of earlier releases negotiate
+    /// none, and are sent echoes only after QUIC has fallen silent.
     pub fn negotiated_pace(&self) -> Option<Pace> {
         self.0.echo_interval.map(Pace::negotiated)
     }

@@ -4,7 +4,7 @@ use crate::node::frame_size::FrameSize;
 use crate::node::network::NetworkPath;
 use crate::node::shared_entry::SharedEntry;
 use gdp_core::crypto;
-use gdp_link::link::liveness::{Detector, Pace, Sample, Step};
+use gdp_link::link::liveness::{Detector, Evidence, Pace, Step};
 use gdp_link::link::{Link, LinkKeys};
 use gdp_link::port::{DataSocket, LinkAddr, OutFrame, Port};
 use gdp_proto::control::{PathCosts, Request, Response};
@@ -88,7 +88,7 @@ impl Attachment {
     pub fn probe(&self, detector: &mut Detector, pace: Pace) -> Step {
         let cookie = crypto::random().map_or(0, u64::from_le_bytes);
         // The switch sends no echoes to a node, so only answers prove both directions.
-        let sample = Sample {
+        let sample = Evidence {
             answer: self.answer.load(Ordering::Relaxed),
             received: 0,
             data: self.data_frames(),

@@ -88,8 +88,8 @@ fn daemons_that_do_not_run_for_a_second_leave_no_link() -> Result<()> {
     Ok(())
 }
 
-/// There is no other path. The neighbour does not accept that s2 closes its link, because the packet
-/// comes from another address.
+/// There is no other path. The neighbour does not accept that s2 closes its link, because the
+/// packet comes from another address.
 #[test]
 fn a_switch_whose_mac_address_changes_has_its_links_again_before_quic_notices() -> Result<()> {
     let fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions::default())?;

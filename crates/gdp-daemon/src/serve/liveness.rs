@@ -4,8 +4,8 @@
 //! while it does not answer, although QUIC may not have noticed anything yet.
 //!
 //! QUIC ends in the peer's daemon or process, but its data plane may still forward. The switch
-//! therefore keeps such a link with its routes, and probes it, whatever was negotiated. A link to an
-//! endpoint is removed as soon as echoes go unanswered. One to a switch stays until its time is
+//! therefore keeps such a link with its routes, and probes it, whatever was negotiated. A link to
+//! an endpoint is removed as soon as echoes go unanswered. One to a switch stays until its time is
 //! over: frames use it again once it answers.
 
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use gdp_core::crypto;
 use gdp_core::peer::Role;
 use gdp_dataplane::LinkCounters;
 use gdp_link::link::Link;
-use gdp_link::link::liveness::{Detector, Pace, Sample};
+use gdp_link::link::liveness::{Detector, Evidence, Pace};
 use gdp_util::ticks::next_tick;
 use gdp_wire::Counter;
 use tokio::time::{Duration, Instant, sleep_until};
@@ -90,7 +90,7 @@ fn react(daemon: &Arc<Daemon>, link: &Link, is_silent: bool) -> bool {
 }
 
 /// Returns the pace of a link and what has arrived on it, or `None` if it is no longer probed.
-fn sample(core: &Core, link: &Link, asked: u64) -> Option<(Pace, Sample)> {
+fn sample(core: &Core, link: &Link, asked: u64) -> Option<(Pace, Evidence)> {
     let (switch, id, is_switch) = (&core.switch, link.local_id(), link.peer().role == Role::Switch);
     let is_live = switch.links.contains_key(&id);
     let pace = match (is_live, is_switch) {
@@ -105,7 +105,7 @@ fn sample(core: &Core, link: &Link, asked: u64) -> Option<(Pace, Sample)> {
     // A peer without its daemon sends no echoes, so only answers prove both directions.
     let received = if is_live { received } else { 0 };
     let rtt = if is_live { link.rtt() } else { Duration::ZERO };
-    Some((pace, Sample { answer: switch.planes.notices().answer(id), received, data, rtt }))
+    Some((pace, Evidence { answer: switch.planes.notices().answer(id), received, data, rtt }))
 }
 
 /// Returns the number of frames that prove that the peer is alive, and that of data frames in both

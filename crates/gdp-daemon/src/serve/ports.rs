@@ -34,10 +34,10 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
 
-/// The delays between attempts to make a link anew that is up, but whose data plane does not answer.
-/// Where only frames are blocked, each new link falls silent as well.
-const LONGEST_ANEW: Duration = Duration::from_secs(60);
-const ANEW: Backoff = Backoff::new(Duration::from_millis(10), LONGEST_ANEW);
+/// The delays between attempts to make a link anew that is up, but whose data plane does not
+/// answer. Where only frames are blocked, each new link falls silent as well.
+const LONGEST_REDIAL: Duration = Duration::from_secs(60);
+const REDIAL: Backoff = Backoff::new(Duration::from_millis(10), LONGEST_REDIAL);
 
 /// The interval of attempts over UDP while the link to a neighbour is over TLS.
 const TRY_UDP: Duration = Duration::from_secs(10);
@@ -214,7 +214,7 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
 /// attempt after a link that did not last, as when the neighbour refuses it. Returns at once if
 /// there is no path.
 pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
-    let (mut retry, mut anew, mut told) = (RETRY, ANEW, HashMap::new());
+    let (mut retry, mut redial, mut told) = (RETRY, REDIAL, HashMap::new());
     let mut turns = ways.iter().cycle().peekable();
     while let Some(via) = turns.peek().copied() {
         let existing = daemon.core().switch.link_to(&switch);
@@ -230,7 +230,7 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
                             Err(reason) => format!("refused a link: {reason}"),
                         }
                     }
-                    link = dial_when_silent(daemon, port, &link, via, &mut anew), if !matches!(via, Via::Tls(_)) => {
+                    link = dial_when_silent(daemon, port, &link, via, &mut redial), if !matches!(via, Via::Tls(_)) => {
                         match links::take(daemon, link, via.clone()).await {
                             Ok(()) => continue,
                             Err(reason) => format!("refused a link: {reason}"),
@@ -245,8 +245,8 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
                 if up.elapsed() > LONGEST_DELAY {
                     retry.reset();
                 }
-                if up.elapsed() > 2 * LONGEST_ANEW {
-                    anew.reset();
+                if up.elapsed() > 2 * LONGEST_REDIAL {
+                    redial.reset();
                 }
                 reason
             }
@@ -273,8 +273,8 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
 }
 
 /// Waits until the data plane at the other end of a link does not answer, and makes another link as
-/// soon as the switch can be reached. It may have lost its state, or have another MAC address, which
-/// QUIC notices after seconds. The silent link stays until then.
+/// soon as the switch can be reached. It may have lost its state, or have another MAC address,
+/// which QUIC notices after seconds. The silent link stays until then.
 async fn dial_when_silent(daemon: &Daemon, port: &Port, link: &Link, via: &Via, delay: &mut Backoff) -> Link {
     let switch = link.peer().name;
     loop {

@@ -77,7 +77,7 @@ impl Pace {
 
 /// What has arrived and left on a link until a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sample {
+pub struct Evidence {
     /// The cookie of the latest answer, or any value if there was none.
     pub answer: u64,
     /// Number of frames received whose tags prove that the peer is alive, or 0 if only answers
@@ -160,7 +160,7 @@ impl Detector {
 
     /// Advances the state; call after [`Step::wait`]. The caller sends an echo with `cookie`, which
     /// is random, now. `now` counts from any start.
-    pub fn step(&mut self, now: Duration, pace: Pace, sample: Sample, cookie: u64) -> Step {
+    pub fn step(&mut self, now: Duration, pace: Pace, sample: Evidence, cookie: u64) -> Step {
         let is_settled = self.open.settle(sample.answer);
         let is_received = self.last.is_some_and(|last| last.received != sample.received);
         self.started |= is_settled || is_received;

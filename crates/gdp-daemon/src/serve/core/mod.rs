@@ -107,8 +107,8 @@ impl Core {
         (lost, self.neighbours.adjacencies(&self.switch) != before)
     }
 
-    /// Samples the round-trip time to the neighbours, and ends suppressions. Returns whether the cost
-    /// of one has changed.
+    /// Samples the round-trip time to the neighbours, and ends suppressions. Returns whether the
+    /// cost of one has changed.
     pub fn measure(&mut self) -> bool {
         self.neighbours.measure(self.clock.now().clock, &self.switch)
     }

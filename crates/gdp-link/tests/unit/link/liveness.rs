@@ -11,7 +11,7 @@ struct World {
     detector: Detector,
     pace: Pace,
     now: Duration,
-    sample: Sample,
+    sample: Evidence,
     cookie: u64,
     answers: bool,
     has_data: bool,
@@ -21,7 +21,7 @@ struct World {
 
 impl World {
     fn new(pace: Pace) -> Self {
-        let (detector, sample) = (Detector::default(), Sample::default());
+        let (detector, sample) = (Detector::default(), Evidence::default());
         let (now, changes) = (Duration::ZERO, Vec::new());
         Self { detector, pace, now, sample, cookie: 0, answers: true, has_data: false, steps: 0, changes }
     }

@@ -130,8 +130,8 @@ impl Switch {
         }
     }
 
-    /// Returns whether the data plane at the other end of a live link answers echoes. A link that is
-    /// not live counts as if it did.
+    /// Returns whether the data plane at the other end of a live link answers echoes. A link that
+    /// is not live counts as if it did.
     pub fn answers(&self, link: &Link) -> bool {
         self.links.get(&link.local_id()).is_none_or(|state| state.answers)
     }
