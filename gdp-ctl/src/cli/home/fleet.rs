@@ -4,7 +4,7 @@
 //! differ are enrolled anew, without joining again.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
 use clap::Args;
@@ -136,7 +136,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn load(path: &PathBuf) -> anyhow::Result<Fleet> {
+fn load(path: &Path) -> anyhow::Result<Fleet> {
     let text = text_file::read(path, MAX_FILE).with_context(|| format!("{}: cannot be read", path.display()))?;
     let Some(text) = text else { bail!("{}: longer than {MAX_FILE} bytes, so not a fleet", path.display()) };
     let fleet: Fleet = yaml::parse(&text).map_err(|error| anyhow!("{}: {error}", path.display()))?;
