@@ -48,8 +48,10 @@ fn small_mtus(
 ) -> BTreeMap<String, SmallMtu> {
     let planes = core.switch.planes.report();
     let needed = |name: &String| {
-        let has_udp = planes.iter().any(|plane| plane.interface == *name) && !host_pair::is_end(name);
-        named.contains(name).then_some(MIN_ETHERNET_MTU).max(over_udp.filter(|_| has_udp))
+        // A small MTU also ends the plane of a named interface.
+        let is_named = named.contains(name);
+        let is_used = is_named || planes.iter().any(|plane| plane.interface == *name) && !host_pair::is_end(name);
+        is_named.then_some(MIN_ETHERNET_MTU).max(over_udp.filter(|_| is_used))
     };
     let small = |state: &InterfaceState| {
         let needed = needed(&state.name).filter(|needed| state.mtu < *needed)?;
