@@ -58,6 +58,7 @@ programs! {
     Lintian = "lintian",
     Md5sum = "md5sum",
     Mke2fs = "mke2fs",
+    Mkfifo = "mkfifo",
     Mount = "mount",
     Nft = "nft",
     Objcopy = "objcopy",

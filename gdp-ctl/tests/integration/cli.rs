@@ -11,6 +11,7 @@ use crate::switch::TIMEOUT;
 use crate::user::User;
 use gdp_proto::admin::VERSION;
 use gdp_tests::process::terminate;
+use gdp_tests::programs::{Executable as _, Program};
 use serde_json::Value;
 
 #[test]
@@ -65,7 +66,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
     let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     std::fs::set_permissions(user.file("open.pem"), open).unwrap();
     std::fs::write(user.file("junk"), "junk").unwrap();
-    assert!(std::process::Command::new("mkfifo").arg(user.file("fifo")).status().unwrap().success());
+    assert!(Program::Mkfifo.command().arg(user.file("fifo")).status().unwrap().success());
     let zero = "0".repeat(64);
     let add = ["grant", "add", "chatter.card", "--entity", &zero, "-o", "x"];
     let create = |topic, kind, of| {
