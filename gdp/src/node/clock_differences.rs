@@ -42,8 +42,8 @@ struct StatedClock {
 
 impl ClockDifferences {
     /// Records by how many nanoseconds the clock of a peer is ahead, and logs it if that is new.
-    /// `refuses` is that of [`ClockDifference`]. Messages are too old only for a clock that is ahead
-    /// of the writer's.
+    /// `refuses` is that of [`ClockDifference`]. Messages are too old only for a clock that is
+    /// ahead of the writer's.
     pub fn record(&self, now: Instant, peer: Name, ahead_ns: i64, refuses: bool) {
         let difference = ClockDifference { peer, ahead_ms: ahead_ns / 1_000_000, refuses };
         let mut peers = self.0.lock();

@@ -62,7 +62,7 @@ struct Sealing {
     /// Number of statements that the RIB has taken.
     statements: u64,
     /// The time from which on another key box of a reader is verified.
-    shown_again_at: u64,
+    next_verification: u64,
 }
 
 struct Unstored {
@@ -109,7 +109,7 @@ impl Sealer {
             unstored: None,
             refused: false,
             statements: 0,
-            shown_again_at: 0,
+            next_verification: 0,
         };
         let (scheduler, ending, sealing) = (scheduler.clone(), ending.clone(), Mutex::new(sealing));
         Ok(Self { session, topic, name, scheduler, ending, sealing })
@@ -310,10 +310,10 @@ impl Sealer {
     pub fn take_newest(&self, reader: &Name, key_box: &Signed<KeyBox>) -> bool {
         let follows = {
             let (sealing, now) = (&mut *self.sealing.lock(), self.scheduler.clock.now());
-            if now < sealing.shown_again_at {
+            if now < sealing.next_verification {
                 return false;
             }
-            sealing.shown_again_at = now + BETWEEN_SHOWN;
+            sealing.next_verification = now + BETWEEN_SHOWN;
             sealing.ring.take_newest(reader, key_box)
         };
         if follows {
