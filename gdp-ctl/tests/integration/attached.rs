@@ -117,7 +117,7 @@ async fn an_endpoint_that_asks_too_much_is_refused() {
 
 /// Who is refused leaves a counter and an event, and the reason in the status.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_refused_registration_is_counted_and_told() {
+async fn a_refused_registration_is_counted_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path(), "s1");
     let socket = config.socket.clone();

@@ -446,14 +446,14 @@ async fn accept(listener: &Port) -> Result<Link, LinkError> {
 async fn closed(attempt: impl AsyncFn() -> quinn::ConnectionError) -> (CloseCode, String) {
     for _ in 0..10 {
         match attempt().await {
-            quinn::ConnectionError::ApplicationClosed(close) => return told(&close),
+            quinn::ConnectionError::ApplicationClosed(close) => return code_and_reason(&close),
             error => assert_eq!(error, quinn::ConnectionError::Reset),
         }
     }
     panic!("ten resets");
 }
 
-fn told(close: &quinn::ApplicationClose) -> (CloseCode, String) {
+fn code_and_reason(close: &quinn::ApplicationClose) -> (CloseCode, String) {
     let codes = [
         CloseCode::Ended,
         CloseCode::Version,

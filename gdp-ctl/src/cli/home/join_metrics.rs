@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use gdp_directory::directory::Directory;
 use gdp_directory::messages::JoinReply;
-use gdp_directory::service::JoinService;
 use gdp_http::metrics::{Exposition, PATH};
 use gdp_http::{HttpResponse, Listener};
 use parking_lot::Mutex;
@@ -31,12 +31,12 @@ struct Figures {
 }
 
 impl JoinMetrics {
-    /// Takes the states of machines at `now` (Unix seconds).
-    pub fn update(&self, service: &JoinService, now: u64) {
-        let rows = service.rows(now);
+    /// Takes the members of a directory, and the number of machines that wait for approval.
+    pub fn update(&self, directory: &Directory, pending: usize) {
+        let ends = directory.entries.iter().map(|entry| entry.membership.until_unverified().unwrap_or_default());
         let figures = &mut *self.0.lock();
-        (figures.joined, figures.pending) = (rows.len() as u64, service.applications().len() as u64);
-        figures.first_end = rows.iter().map(|row| row.until).min();
+        (figures.joined, figures.pending) = (directory.entries.len() as u64, pending as u64);
+        figures.first_end = ends.min();
     }
 
     pub fn replied(&self, reply: &JoinReply) {

@@ -20,7 +20,7 @@ use gdp_directory::{DIRECTORY, JOIN, directory_card, join_card};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::service_manager::ServiceManager;
 use gdp_util::signals;
-use gdp_util::unix_time::{unix_nanos, unix_seconds};
+use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 
 use super::join_metrics::JoinMetrics;
@@ -188,8 +188,9 @@ impl JoinServer {
     }
 
     fn publish(&mut self) {
-        self.metrics.update(&self.service, unix_seconds());
-        match self.service.directory(unix_nanos()).to_bytes() {
+        let directory = self.service.directory(unix_nanos());
+        self.metrics.update(&directory, self.service.applications().len());
+        match directory.to_bytes() {
             Ok(directory) if directory != self.published => {
                 self.publisher.pin(DIRECTORY, &directory);
                 self.published = directory;

@@ -2,6 +2,7 @@
 
 use gdp_core::identity::SigningKey;
 use gdp_directory::messages::{Application, JoinRequest};
+use gdp_directory::service::JoinService;
 use gdp_http::HttpRequest;
 use gdp_tests::book::reference::{self, page, table, wrapped};
 use gdp_wire::Name;
@@ -17,7 +18,7 @@ fn scraped(metrics: &JoinMetrics) -> String {
 fn applicants_and_replies_are_counted() {
     let mut service = JoinService::new(SigningKey::generate().unwrap(), Name::from_bytes([1; 32]));
     let metrics = JoinMetrics::default();
-    metrics.update(&service, 10);
+    metrics.update(&service.directory(0), service.applications().len());
     assert!(scraped(&metrics).contains("gdp_join_members{state=\"pending\"} 0"), "{}", scraped(&metrics));
     for (entity, label) in [(2, "robot7"), (3, "no label!")] {
         let (expose, import, read) = Default::default();
@@ -26,7 +27,7 @@ fn applicants_and_replies_are_counted() {
         let request = JoinRequest::Apply(Box::new(application));
         metrics.replied(&service.answer(Name::from_bytes([entity; 32]), request, 0));
     }
-    metrics.update(&service, 10);
+    metrics.update(&service.directory(0), service.applications().len());
     metrics.write_failed();
     let scraped = scraped(&metrics);
     for line in [
