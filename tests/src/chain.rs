@@ -12,6 +12,7 @@
 use anyhow::{Context, Result};
 use gdp_faults::Faults;
 
+use crate::bridge::{self, BridgedCable};
 use crate::netns::{self, End, Namespace, veth};
 use crate::packet::PacketSocket;
 use crate::wire::Wire;
@@ -23,8 +24,7 @@ pub struct ChainOptions {
     pub switches: usize,
     /// MTU of every interface, in bytes.
     pub mtu: u32,
-    /// The link (0 is robot – s1) that carries the wire. Native XDP forwards frames past every
-    /// capture point. A bridge in the link makes the frames visible and lets a test inject others.
+    /// The link (0 is robot – s1) that carries the wire.
     pub wire: Option<usize>,
     /// Whether interfaces leave checksums and segmentation to the (virtual) hardware.
     pub transmit_offloads: bool,
@@ -55,7 +55,7 @@ pub const GDP_PORT: u16 = 31415;
 /// A chain of namespaces. Dropping it deletes them.
 pub struct Chain {
     nodes: Vec<Namespace>,
-    wire: Option<Namespace>,
+    wire: Option<BridgedCable>,
 }
 
 impl Chain {
@@ -67,13 +67,13 @@ impl Chain {
             i => format!("s{i}"),
         };
         let nodes = (0..=last).map(|i| Namespace::create(&label(i))).collect::<Result<Vec<_>>>()?;
-        let wire = options.wire.map(|_| Namespace::create("wire")).transpose()?;
+        let mut wire = None;
         for link in 0..last {
             let left = End { namespace: &nodes[link], interface: "r0", mac: mac(link, 1) };
             let right = End { namespace: &nodes[link + 1], interface: "l0", mac: mac(link, 2) };
-            match &wire {
-                Some(wire) if options.wire == Some(link) => bridge(wire, &left, &right, options.mtu)?,
-                _ => veth(&left, &right, options.mtu)?,
+            match options.wire == Some(link) {
+                true => wire = Some(BridgedCable::lay(&left, &right, options.mtu)?),
+                false => veth(&left, &right, options.mtu)?,
             }
             if options.transmit_offloads {
                 [left, right].iter().try_for_each(netns::enable_transmit_offloads)?;
@@ -102,37 +102,34 @@ impl Chain {
     /// Opens the robot's side of the wire. The socket receives frames from the robot; frames sent
     /// on it return to the robot's side.
     pub fn wire_from_robot(&self) -> Result<PacketSocket> {
-        PacketSocket::open(self.wire()?, WIRE_LEFT)
+        PacketSocket::open(self.wire()?, bridge::LEFT)
     }
 
     /// Opens the cloud's side of the wire. The socket receives frames from the cloud; frames sent
     /// on it continue toward the cloud.
     pub fn wire_to_cloud(&self) -> Result<PacketSocket> {
-        PacketSocket::open(self.wire()?, WIRE_RIGHT)
+        PacketSocket::open(self.wire()?, bridge::RIGHT)
     }
 
     /// Blocks every frame on the wire, or lets all frames pass again.
     pub fn cut_wire(&self, cut: bool) -> Result<()> {
-        let isolated = if cut { "on" } else { "off" };
-        [WIRE_LEFT, WIRE_RIGHT].into_iter().try_for_each(|port| {
-            self.wire()?.ip(&["link", "set", port, "type", "bridge_slave", "isolated", isolated]).map(drop)
-        })
+        self.cable()?.cut(cut)
     }
 
     /// Applies link faults to the wire until the returned guard is dropped. Dropping the guard cuts
     /// the wire. `faults`: toward the cloud, toward the robot.
     pub fn disturb_wire(&self, faults: [Faults; 2], seed: u64) -> Result<Wire> {
         let at = self.wire()?;
-        for port in [WIRE_LEFT, WIRE_RIGHT] {
+        for port in [bridge::LEFT, bridge::RIGHT] {
             at.ip(&["link", "set", port, "nomaster"])?;
         }
-        Wire::start(at, [WIRE_LEFT, WIRE_RIGHT], faults, seed)
+        Wire::start(at, [bridge::LEFT, bridge::RIGHT], faults, seed)
     }
 
     /// Returns the namespace of the wire, and an interface in it that reaches both ends of the
     /// wire.
     pub fn on_the_wire(&self) -> Result<(&Namespace, &'static str)> {
-        Ok((self.wire()?, WIRE))
+        Ok((self.wire()?, bridge::BRIDGE))
     }
 
     /// Assigns every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches
@@ -168,22 +165,12 @@ impl Chain {
     }
 
     fn wire(&self) -> Result<&Namespace> {
+        self.cable().map(BridgedCable::namespace)
+    }
+
+    fn cable(&self) -> Result<&BridgedCable> {
         self.wire.as_ref().context("this chain was built without a wire")
     }
-}
-
-const WIRE: &str = "br0";
-const WIRE_LEFT: &str = "w0";
-const WIRE_RIGHT: &str = "w1";
-
-fn bridge(wire: &Namespace, left: &End, right: &End, mtu: u32) -> Result<()> {
-    wire.ip(&["link", "add", WIRE, "type", "bridge", "mcast_snooping", "0", "stp_state", "0", "forward_delay", "0"])?;
-    for (end, interface, number) in [(left, WIRE_LEFT, 3), (right, WIRE_RIGHT, 4)] {
-        veth(end, &End { namespace: wire, interface, mac: mac(0xff, number) }, mtu)?;
-        wire.ip(&["link", "set", interface, "master", WIRE])?;
-    }
-    wire.ip(&["link", "set", WIRE, "up"])?;
-    Ok(())
 }
 
 fn mac(link: usize, end: u8) -> [u8; 6] {

@@ -22,6 +22,7 @@
 //! Dropping the guard of a resource removes the resource, also after a panic or Ctrl-C.
 
 pub mod book;
+pub mod bridge;
 pub mod chain;
 pub mod dds_domain;
 pub mod dpdk;

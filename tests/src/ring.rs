@@ -9,6 +9,9 @@
 //!                     RIB
 //! ```
 //!
+//! The cable from s1 to s2 may have a bridge in its middle, which can block it without a trace at
+//! its ends.
+//!
 //! The path from robot to cloud crosses s2; after a cut, s5 and s4. s3 reaches the RIB through s4;
 //! after a cut, or without s4's daemon, through s2 and s1. No configuration says where the RIB is.
 
@@ -17,6 +20,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
+use crate::bridge::BridgedCable;
 use crate::fabric::{Authority, Mounted, Switch};
 use crate::netns::{End, Namespace, veth};
 use crate::process::Process;
@@ -41,6 +45,7 @@ pub struct Ring {
     nodes: Vec<Namespace>,
     pub robot: Namespace,
     pub cloud: Namespace,
+    wire: Option<BridgedCable>,
     tools: Tools,
     bpffs: Mounted,
     files: tempfile::TempDir,
@@ -50,13 +55,26 @@ impl Ring {
     /// Starts network, keys and daemons. Every switch knows the shortest path to every other. The
     /// owner of a topic has admitted the robot as its publisher and the cloud as a reader.
     pub fn start(tools: Tools) -> Result<Self> {
+        Self::build(tools, false)
+    }
+
+    /// Starts the ring as [`Self::start`] does, with a bridge between s1 and s2.
+    pub fn start_with_wire(tools: Tools) -> Result<Self> {
+        Self::build(tools, true)
+    }
+
+    fn build(tools: Tools, has_wire: bool) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<Vec<_>>>()?;
         let (robot, cloud) = (Namespace::create("robot")?, Namespace::create("cloud")?);
         let cables = (0..SWITCHES).map(|i| ((&nodes[i], "r0"), (&nodes[(i + 1) % SWITCHES], "l0")));
         let ends = [((&robot, "r0"), (&nodes[ROBOT_AT], "e0")), ((&nodes[CLOUD_AT], "e0"), (&cloud, "l0"))];
+        let mut wire = None;
         for (i, (a, b)) in cables.chain(ends).enumerate() {
             let end = |(namespace, interface), side| End { namespace, interface, mac: [2, 0, 0, 0, i as u8, side] };
-            veth(&end(a, 1), &end(b, 2), 1500)?;
+            match has_wire && i == 0 {
+                true => wire = Some(BridgedCable::lay(&end(a, 1), &end(b, 2), 1500)?),
+                false => veth(&end(a, 1), &end(b, 2), 1500)?,
+            }
         }
         let files = tempfile::Builder::new().prefix("gdp-ring-").tempdir().context("cannot create a folder")?;
         let authority = Authority { tools: &tools, folder: files.path() };
@@ -70,7 +88,7 @@ impl Ring {
             Switch::start(&tools, &nodes[i], files.path(), (&label, &names[i]), config(i, &names, &bpffs))
         };
         let switches = (0..SWITCHES).map(start).collect::<Result<Vec<_>>>()?;
-        let mut ring = Self { switches, nodes, robot, cloud, tools, bpffs, files };
+        let mut ring = Self { switches, nodes, robot, cloud, wire, tools, bpffs, files };
         for i in 0..SWITCHES {
             ring.wait(&format!("s{} to know the shortest paths", i + 1), |ring| {
                 let topology = ring.ctl(i, &["topology"])?;
@@ -134,6 +152,12 @@ impl Ring {
     pub fn set_cable(&self, i: usize, plugged: bool) -> Result<()> {
         let state = if plugged { "up" } else { "down" };
         self.nodes[i].ip(&["link", "set", "r0", state]).map(drop)
+    }
+
+    /// Blocks every frame between s1 and s2, or lets all frames pass again. Both keep their
+    /// carrier.
+    pub fn cut_wire(&self, cut: bool) -> Result<()> {
+        self.wire.as_ref().context("this ring was built without a wire")?.cut(cut)
     }
 
     /// Cuts switch `i` off with its daemon, as a power failure does.

@@ -96,7 +96,7 @@ pub fn run(options: Options) -> Result<()> {
 
 /// Modules of tests that load both cores or measure a path. They run one at a time, so that a
 /// missed deadline is meaningful. The other tests mostly wait, for a fifth of a core.
-const WHOLE_MACHINE: [&str; 13] = [
+const WHOLE_MACHINE: [&str; 14] = [
     "dpdk::",
     "ecn::",
     "end_to_end::",
@@ -108,6 +108,7 @@ const WHOLE_MACHINE: [&str; 13] = [
     "reach_links::",
     "replicas::",
     "selfheal",
+    "silence::",
     "soak::",
     "wire::",
 ];

@@ -85,3 +85,4 @@ pub use interface_plane::{InterfacePlane, SUPPORTED};
 pub use pins::PinLocation;
 pub use planes::Planes;
 pub use route::PlaneRoute;
+pub use tally::LinkCounters;

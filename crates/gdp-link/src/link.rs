@@ -29,6 +29,7 @@ pub use crate::link::error::LinkError;
 pub(crate) use crate::link::error::close_reason;
 pub(crate) use crate::link::location::LinkLocation;
 use crate::link::location::udp_source;
+use liveness::Pace;
 use timing::MAX_STREAMS;
 pub use timing::{HANDSHAKE_TIMEOUT, IDLE_TIMEOUT, KEEP_ALIVE, REQUEST_TIMEOUT};
 
@@ -84,6 +85,8 @@ struct Inner {
     streams: JoinHandle<()>,
     /// See `Hello::run`.
     peer_run: Option<u64>,
+    /// See `Hello::echo_ms`.
+    echo_interval: Option<Duration>,
     credentials: StdMutex<Option<Arc<Credentials>>>,
     /// The reason for which this side closed the link.
     closed_for: OnceLock<String>,
@@ -126,6 +129,7 @@ impl Link {
             requests: Mutex::new(requests),
             streams,
             peer_run: peer_end.run,
+            echo_interval: peer_end.echo_interval,
             credentials: StdMutex::new(peer_end.credentials.map(Arc::new)),
             closed_for: OnceLock::new(),
         })))
@@ -139,6 +143,17 @@ impl Link {
     /// releases do not state their run.
     pub fn is_of_another_run(&self, other: &Self) -> bool {
         self.0.peer_run.zip(other.0.peer_run).is_some_and(|(own, other)| own != other)
+    }
+
+    /// Returns the schedule of echoes while QUIC is alive. Peers of earlier releases negotiate
+    /// none, and are sent echoes only after QUIC has fallen silent.
+    pub fn negotiated_pace(&self) -> Option<Pace> {
+        self.0.echo_interval.map(Pace::negotiated)
+    }
+
+    /// Returns the schedule of echoes after QUIC has fallen silent.
+    pub fn pace(&self) -> Pace {
+        self.negotiated_pace().unwrap_or_else(|| Pace::of(self.addr()))
     }
 
     /// Returns the credentials that the peer sent for its domain. The link does not verify them.

@@ -210,6 +210,7 @@ impl Port {
             host: medium.udp().and_then(|socket| socket.host()),
             pair: CurrentPair::default(),
             run: config.run,
+            echo_interval: Some(link::liveness::MIN_INTERVAL),
             credentials: config.credentials.clone(),
             versions: Versions::SPOKEN,
         };

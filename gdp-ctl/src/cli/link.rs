@@ -52,7 +52,11 @@ fn row(link: &LinkStatus) -> [String; 13] {
         format!("{:#x}", link.id),
         format!("{:#}", link.peer),
         role,
-        if link.carrier { link.via.clone() } else { format!("{} (no carrier)", link.via) },
+        match (link.carrier, link.answers) {
+            (false, _) => format!("{} (no carrier)", link.via),
+            (true, false) => format!("{} (no answer)", link.via),
+            (true, true) => link.via.clone(),
+        },
         link.address.clone(),
         link.mtu.to_string(),
         format!("{} µs", link.rtt_us),

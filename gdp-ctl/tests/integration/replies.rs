@@ -24,7 +24,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
         "peer": name, "role": "switch", "lane": 0, "relationship": "member", "domain": null, "admitted_until": 9,
         "via": "e0", "address": "192.0.2.1:31415", "id": 7, "mtu": 1452, "key_generations": {"rx": 1, "tx": 2},
         "cost": 3, "rtt_us": 120, "age_s": 5, "errors_received": errors, "arrivals": null, "traces_refused": 0,
-        "sent": 4, "carrier": true, "plane": "kernel",
+        "sent": 4, "carrier": true, "answers": true, "plane": "kernel",
     });
     let interface = json!({
         "interface": "e0", "data_plane": "xdp-native", "reason": "", "redirect_lost": 1, "mtu": 1500,
@@ -34,7 +34,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
     let status = json!({
         "name": name, "data_plane": "userspace", "data_plane_reason": "asked for", "interfaces": [interface],
         "dpdk_processor_time_us": [7], "udp": "192.0.2.1:31415", "links": [link],
-        "links_in_grace": [{"peer": other, "role": "endpoint", "address": "a", "id": 8, "errors_received": {}}],
+        "links_in_grace": [{"peer": other, "role": "endpoint", "address": "a", "id": 8, "answers": true, "errors_received": {}}],
         "refused_total": {"link": {"NotAdmitted": 2}},
         "refused": [{"peer": name, "what": "link", "reason": "no", "count": 2, "age_s": 3}],
         "handshakes": {"challenged": 1, "refused": 2, "displaced": 3, "failed": 4}, "counters": {"forwarded": 9},

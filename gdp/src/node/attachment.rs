@@ -4,7 +4,7 @@ use crate::node::frame_size::FrameSize;
 use crate::node::network::NetworkPath;
 use crate::node::shared_entry::SharedEntry;
 use gdp_core::crypto;
-use gdp_link::link::liveness::{Liveness, Pace, Step};
+use gdp_link::link::liveness::{Detector, Evidence, Pace, Step};
 use gdp_link::link::{Link, LinkKeys};
 use gdp_link::port::{DataSocket, LinkAddr, OutFrame, Port};
 use gdp_proto::control::{PathCosts, Request, Response};
@@ -84,17 +84,19 @@ impl Attachment {
         self.answer.store(cookie, Ordering::Relaxed);
     }
 
-    /// Probes the switch's data plane with echoes, and returns when it no longer answers.
-    pub async fn until_silent(&self) {
-        let mut liveness = Liveness::new(Pace::of(self.link.addr()));
-        loop {
-            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
-            match liveness.step(self.answer.load(Ordering::Relaxed), cookie) {
-                Step::Ask => self.send(Header::echo(cookie)),
-                Step::Silent => return,
-            }
-            sleep(liveness.pace().interval).await;
-        }
+    /// Sends the next echo to the switch's data plane. Call it again after [`Step::wait`].
+    pub fn probe(&self, detector: &mut Detector, pace: Pace) -> Step {
+        let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+        // The switch sends no echoes to a node, so only answers prove both directions.
+        let sample = Evidence {
+            answer: self.answer.load(Ordering::Relaxed),
+            received: 0,
+            data: self.data_frames(),
+            rtt: self.link.rtt(),
+        };
+        let step = detector.step(self.since.elapsed(), pace, sample, cookie);
+        self.send(Header::echo(cookie));
+        step
     }
 
     /// Returns whether the switch's data plane answers at the address of frames within this time. A

@@ -1,9 +1,6 @@
-//! Selects a node's main link, and the second link for copies.
-//!
-//! Also detects whether a link that is up is silent. No I/O.
+//! Selects a node's main link, and the second link for copies. No I/O.
 
 use gdp_core::peer::MAX_LANES;
-use gdp_link::link::liveness::Unanswered;
 
 /// Time for which a preferred link must be up before it replaces the main link, in nanoseconds.
 /// Without the delay, a flapping link would move the traffic each time.
@@ -57,31 +54,6 @@ impl Choice {
         }
         let doubtful = || if present == Fitness::Doubtful { Some(self.main) } else { first(Fitness::Doubtful) };
         first(Fitness::Up).or_else(doubtful).unwrap_or(self.main)
-    }
-}
-
-/// Number of consecutive unanswered echoes after which a link counts as silent.
-const MISSES: usize = 5;
-
-/// Detects whether the other end of a link answers.
-#[derive(Debug, Default)]
-pub struct Pulse {
-    /// The latest unanswered echoes.
-    open: Unanswered,
-}
-
-impl Pulse {
-    /// Processes one echo that is sent: its cookie, and the cookie of the latest answer, if any.
-    /// Returns whether the link is silent.
-    pub fn beat(&mut self, answer: u64, cookie: u64) -> bool {
-        let silent = self.open.settle(answer) >= MISSES;
-        self.open.add(cookie, MISSES);
-        silent
-    }
-
-    /// Returns whether an echo before the last one is unanswered.
-    pub fn has_missed(&self) -> bool {
-        self.open.count() > 1
     }
 }
 

@@ -1,20 +1,17 @@
 //! The tasks of one link while it is up: renewing statements, and detecting silence of the switch.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use gdp_wire::Header;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 
 use super::attachment::Attachment;
-use super::choice::Pulse;
 use super::network::{BETWEEN, HostNetwork, NetworkPath};
 use super::pause::{BACKOFF, wait};
 use super::send_path::SendPath;
 use super::state::{LIFETIME, State};
-use gdp_core::crypto;
 use gdp_link::link::Link;
+use gdp_link::link::liveness::{Detector, Pace};
 use gdp_link::port::{LinkAddr, Port};
 use gdp_proto::control::Request;
 
@@ -28,14 +25,13 @@ const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
 /// Renewal interval of certificates and statements with a lifetime of [`LIFETIME`].
 const RENEWAL: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
-/// Interval of echoes on the main link and on other links. A longer round trip replaces it.
-const MAIN_ECHOES: Duration = Duration::from_millis(100);
-const OTHER_ECHOES: Duration = Duration::from_millis(500);
+/// The paces of echoes on the main link and on other links to a switch that negotiates none.
+const MAIN_PACE: Pace = pace(100);
+const OTHER_PACE: Pace = pace(500);
 
-/// The interval on a link without data for [`RECENT`], while all echoes are answered. A failure is
-/// then noticed a second later.
-const IDLE_ECHOES: Duration = Duration::from_secs(1);
-const RECENT: Duration = Duration::from_secs(10);
+const fn pace(millis: u64) -> Pace {
+    Pace { interval: Duration::from_millis(millis), idle: Duration::from_secs(1), misses: 5 }
+}
 
 /// Sends the node's statements to the RIB. Repeats them after a temporary refusal, after a
 /// withdrawal that also removed them, and before they expire.
@@ -82,25 +78,43 @@ async fn prefer(state: &State, attachment: &Attachment) -> bool {
 /// Detects a switch that does not answer. The node then uses another link at once, although this
 /// one is up.
 pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>) {
-    let mut pulse = Pulse::default();
-    let (mut frames, mut busy_until) = (0, Instant::now());
+    let mut detector = Detector::default();
     loop {
-        let now = Instant::now();
-        let frames_now = attachment.data_frames();
-        if std::mem::replace(&mut frames, frames_now) != frames_now {
-            busy_until = now + RECENT;
-        }
-        let cookie = crypto::random().map_or(0, u64::from_le_bytes);
-        let is_silent = pulse.beat(attachment.answer.load(Ordering::Relaxed), cookie);
-        attachment.send(Header::echo(cookie));
-        send_path.set_silent(attachment.lane.into(), is_silent);
-        let pause = match send_path.links.is_main(&attachment) {
-            _ if now >= busy_until && !pulse.has_missed() => IDLE_ECHOES,
-            true => MAIN_ECHOES,
-            false => OTHER_ECHOES,
-        };
-        sleep(pause.max(attachment.link.rtt())).await;
+        let of_old = || if send_path.links.is_main(&attachment) { MAIN_PACE } else { OTHER_PACE };
+        let pace = attachment.link.negotiated_pace().unwrap_or_else(of_old);
+        let step = attachment.probe(&mut detector, pace);
+        // Also without a change: a preferred link that has been up for long enough becomes the main
+        // one.
+        send_path.set_silent(attachment.lane.into(), detector.is_silent());
+        sleep(step.wait).await;
     }
+}
+
+/// Probes a link whose switch has fallen silent. Frames leave on it while its data plane answers,
+/// until `until`. Returns then.
+pub async fn watch_stale(send_path: &SendPath, attachment: &Arc<Attachment>, until: Instant) {
+    let lane = usize::from(attachment.lane);
+    let probing = async {
+        let mut detector = Detector::default();
+        loop {
+            let step = attachment.probe(&mut detector, Pace::of(attachment.link.addr()));
+            match (step.changed, detector.is_silent()) {
+                (true, true) => {
+                    tracing::warn!("nothing is sent to the switch for now: its data plane does not answer either");
+                    send_path.end_stale(lane);
+                }
+                (true, false) => {
+                    tracing::info!("the data plane of the switch answers again");
+                    send_path.resume_stale(attachment);
+                }
+                (false, _) => {}
+            }
+            sleep(step.wait).await;
+        }
+    };
+    let _: Result<(), _> = timeout_at(until, probing).await;
+    tracing::warn!("nothing is sent to the switch any more: its daemon has been silent for too long");
+    send_path.end_stale(lane);
 }
 
 /// Closes the link when its tunnel has ended.

@@ -353,6 +353,16 @@ impl Links {
         })
     }
 
+    /// Resumes the use of a stale link that has been ended.
+    pub fn resume_stale(&self, now: u64, attachment: &Arc<Attachment>) -> Option<Rerouted> {
+        self.change(now, attachment.lane.into(), |lane| {
+            if let Connection::Down(reason) = &mut lane.connection {
+                lane.connection = Connection::Stale(attachment.clone(), std::mem::take(reason));
+            }
+            true
+        })
+    }
+
     /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, now: u64, lane: usize, silent: bool) -> Option<Rerouted> {
         self.change(now, lane, |lane| std::mem::replace(&mut lane.silent, silent) != silent)

@@ -15,6 +15,7 @@ use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
+use super::attachment::Attachment;
 use super::clock::Clock;
 use super::clock_differences::ClockDifferences;
 use super::config::LinkConfig;
@@ -84,6 +85,11 @@ impl SendPath {
     /// Ends the use of a stale link.
     pub fn end_stale(&self, lane: usize) {
         self.reroute(self.links.end_stale(self.clock.now(), lane));
+    }
+
+    /// Resumes the use of a stale link.
+    pub fn resume_stale(&self, attachment: &Arc<Attachment>) {
+        self.reroute(self.links.resume_stale(self.clock.now(), attachment));
     }
 
     /// Sets whether the switch is silent on a link that is up.

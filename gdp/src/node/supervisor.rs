@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 
 use super::abort_on_drop::AbortOnDrop;
 use super::attachment::Attachment;
@@ -17,7 +17,9 @@ use super::command::{Command, RibUpdate};
 use super::config::LinkConfig;
 use super::dialler::Dialler;
 use super::error::NodeError;
-use super::link_tasks::{ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_tunnel};
+use super::link_tasks::{
+    ANSWER, keep_stated, leave_unneeded, watch_moves, watch_mtu, watch_silence, watch_stale, watch_tunnel,
+};
 use super::links::Connection;
 use super::network::HostNetwork;
 use super::pause::{BACKOFF, ExpediteToken};
@@ -36,16 +38,6 @@ const UNNEEDED: &str = "a preferred link is up";
 struct StaleLink {
     attachment: Arc<Attachment>,
     until: Instant,
-}
-
-impl StaleLink {
-    /// Returns the reason when the link can no longer be used.
-    async fn end(&self) -> &'static str {
-        match timeout_at(self.until, self.attachment.until_silent()).await {
-            Ok(()) => "its data plane does not answer either",
-            Err(_) => "its daemon has been silent for too long",
-        }
-    }
 }
 
 /// Supervises the links of a node until `stop` becomes true. Sends the result of each link's first
@@ -179,16 +171,14 @@ impl Supervisor {
 
     /// Makes a new link. Meanwhile frames leave on the stale link while it is usable.
     async fn reconnect_while_stale(&mut self, stale: &StaleLink) -> Arc<Attachment> {
-        let (state, lane) = (self.state.clone(), self.lane());
-        let end = async {
-            let reason = stale.end().await;
-            tracing::warn!("nothing is sent to the switch any more: {reason}");
-            state.send_path.end_stale(lane);
+        let state = self.state.clone();
+        let probing = async {
+            watch_stale(&state.send_path, &stale.attachment, stale.until).await;
             std::future::pending().await
         };
         tokio::select! {
             attachment = self.reconnect(Some(stale)) => attachment,
-            attachment = end => attachment,
+            attachment = probing => attachment,
         }
     }
 

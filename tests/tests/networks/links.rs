@@ -45,8 +45,12 @@ const PERIOD: Duration = Duration::from_millis(20);
 const SIZE: usize = 2000;
 const SMALL: usize = 1000;
 
-/// Bound on gaps. Detecting a cut takes half a second; messages on two links do not wait for that.
+/// Bound on gaps of messages on two links. They do not wait until a cut is noticed.
 const NO_GAP: Duration = Duration::from_millis(400);
+
+/// Least time in which a cut is noticed: five echoes of 40 ms, one of which is sent just after it.
+/// The message that is sent last before the next link is used is a period younger.
+const NOTICED: Duration = Duration::from_millis(130);
 
 #[test]
 fn with_two_switches_nothing_is_missed_while_either_link_is_cut() -> Result<()> {
@@ -109,7 +113,8 @@ fn loses_nothing(switches: usize) -> Result<()> {
         if [0, 1, 3].contains(&i) {
             ensure!(*slowest < NO_GAP + late, "topic {i}: a message took {slowest:?}; {late:?}, {counters:?}");
         } else {
-            ensure!((NO_GAP..CUT + late).contains(slowest), "topic {i}: it moved over and was repaired: {slowest:?}");
+            eprintln!("topic {i}: a message took {slowest:?} as it moved to the other link");
+            ensure!((NOTICED..CUT + late).contains(slowest), "topic {i}: it moved over and was repaired: {slowest:?}");
         }
     }
     ensure!(robot.node.links().iter().all(|link| link.copies_dropped == 0), "{:?}", robot.node.links());

@@ -1,7 +1,8 @@
 //! Distinguishes silence from absence, under DDS traffic from robot to cloud. A link whose peer's
-//! daemon died stays up while the peer's kernel answers echoes. A link whose cable is cut does not.
+//! daemon died stays up while the peer's kernel answers echoes. A link whose cable is cut does not,
+//! until the cable is mended.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
@@ -10,7 +11,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::{TIMEOUT, wait_for};
+use gdp_tests::wait::{TIMEOUT, sleep, wait_for};
 use serde_json::Value;
 
 /// Time until a link without any answer is closed: QUIC's idle timeout, the echo timeout, and the
@@ -40,9 +41,42 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
     nothing_is_missing(&conversation)?;
 
     fabric.chain.switches()[1].ip(&["link", "set", "l0", "down"])?;
-    wait_for("the left neighbour to give it up", GIVEN_UP, || Ok(held(&fabric, 0, 1)?.is_none().then_some(())))?;
-    ensure!(held(&fabric, 2, 1)?.is_some(), "the right cable is whole");
+    let answers = |fabric: &Fabric, neighbour| {
+        Ok::<_, anyhow::Error>(held(fabric, neighbour, 1)?.context("held")?["answers"] == true)
+    };
+    wait_for("the left neighbour to leave it", GIVEN_UP, || Ok((!answers(&fabric, 0)?).then_some(())))?;
+    ensure!(answers(&fabric, 2)?, "the right cable is whole");
     Ok(())
+}
+
+/// Without its daemon, s2 cannot make a link anew. The held one is used again.
+#[test]
+fn a_link_that_is_held_survives_a_cable_that_fails_for_a_while() -> Result<()> {
+    let chain = ChainOptions { wire: Some(1), ..Default::default() };
+    let mut fabric = fabric(FabricOptions { chain, depth: 10_000, pinned: true, ..Default::default() })?;
+    let mut conversation = converse(&fabric)?;
+    wait_for_more(&mut conversation, 10)?;
+    fabric.switches[1].process.kill()?;
+    for neighbour in [0, 2] {
+        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
+            .with_context(|| fabric.report())?;
+    }
+    wait_for_more(&mut conversation, 10)?;
+    for _ in 0..2 {
+        fabric.chain.cut_wire(true)?;
+        wait_for("s1 to leave it", GIVEN_UP, || {
+            Ok(held(&fabric, 0, 1)?.is_some_and(|link| link["answers"] == false).then_some(()))
+        })
+        .with_context(|| fabric.report())?;
+        sleep(Duration::from_secs(1))?;
+        fabric.chain.cut_wire(false)?;
+        let mended = Instant::now();
+        wait_for_more(&mut conversation, 1).with_context(|| fabric.report())?;
+        eprintln!("the first message {:?} after the cable was mended", mended.elapsed());
+        ensure!(mended.elapsed() < GIVEN_UP, "{:?}", mended.elapsed());
+        wait_for_more(&mut conversation, 10)?;
+    }
+    nothing_is_missing(&conversation)
 }
 
 #[test]

@@ -45,6 +45,7 @@ mod rolling;
 mod same_host;
 mod selfheal;
 mod selfheal_domains;
+mod silence;
 mod soak;
 mod star;
 mod trace;

@@ -46,6 +46,8 @@ pub struct Daemon {
     pub(super) costs: watch::Sender<PathCosts>,
     /// Notified when switches have answered the local RIB.
     pub(super) answered: Notify,
+    /// Notified when the data plane at the other end of a link to a switch no longer answers.
+    pub(super) silent: Notify,
     /// Notified after each round of the periodic work.
     pub(super) worked: Notify,
     stopping: AtomicBool,
@@ -85,6 +87,7 @@ impl Daemon {
             rib_changed: Notify::new(),
             costs: watch::Sender::default(),
             answered: Notify::new(),
+            silent: Notify::new(),
             worked: Notify::new(),
             stopping: AtomicBool::new(false),
             tasks: Mutex::default(),

@@ -25,6 +25,9 @@ pub struct StaleLink {
     pub entry: KeyedEntry,
     pub to: LinkAddr,
     pub until: Instant,
+    /// Whether the data plane at the other end answers echoes, as far as it is asked. Frames use
+    /// the link only while it does.
+    pub answers: bool,
     /// The peer's relationship to this switch's domain. `None` for a link of an earlier daemon.
     pub relationship: Option<Relationship>,
     /// Reserves the link id, so that no new link gets the same table index.

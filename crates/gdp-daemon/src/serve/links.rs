@@ -71,6 +71,9 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
         daemon.topology_changed();
         daemon.report.notify_one();
         daemon.spawn(say_ready(daemon.clone(), link.clone()));
+        if liveness::is_probed(&link) {
+            daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
+        }
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
@@ -220,6 +223,9 @@ fn end(daemon: &Arc<Daemon>, link: &Link) {
         is_held
     };
     if is_held {
+        tracing::info!(peer = %format_args!("{name:#}"), "its link is held while its data plane answers echoes");
+    }
+    if is_held && !liveness::is_probed(link) {
         daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
     }
 }

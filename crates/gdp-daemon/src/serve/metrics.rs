@@ -26,6 +26,7 @@ gdp_http::metrics! {
     LINK_RTT: gauge "gdp_link_rtt_seconds" ["peer", "lane"] "Round-trip time of a link";
     LINK_AGE: gauge "gdp_link_age_seconds" ["peer", "lane"] "Time since a link came up";
     LINK_CARRIER: gauge "gdp_link_carrier" ["peer", "lane"] "Whether the interface of a link has a carrier";
+    LINK_ANSWERS: gauge "gdp_link_answers" ["peer", "lane"] "Whether the data plane at the other end of a link answers echoes";
     LINK_SENT: counter "gdp_link_sent_frames" ["peer", "lane"] "Frames sent on a link";
     LINK_RECEIVED: counter "gdp_link_received_frames" ["peer", "lane"] "Frames that came in on a link, dropped ones among them";
     LINK_DROPPED: counter "gdp_link_dropped_frames" ["peer", "lane"] "Frames that came in on a link and were dropped";
@@ -158,6 +159,7 @@ fn links(all: &mut Exposition, status: &StatusReply) {
         all.add_real(&LINK_RTT, labels, seconds(link.rtt_us));
         all.add(&LINK_AGE, labels, link.age_s);
         all.add(&LINK_CARRIER, labels, link.carrier.into());
+        all.add(&LINK_ANSWERS, labels, link.answers.into());
         frames(all, labels, [link]);
         link.admitted_until.iter().for_each(|until| all.add(&LINK_ADMITTED, labels, *until));
     }

@@ -22,7 +22,7 @@ use tokio::time::{Instant, sleep};
 
 use super::daemon::Daemon;
 use super::start_error::StartError;
-use super::{interfaces, links};
+use super::{interfaces, links, liveness};
 use crate::config::{Neighbour, NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
@@ -33,6 +33,11 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 /// on.
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
+
+/// The delays between attempts to make a link anew that is up, but whose data plane does not
+/// answer. Where only frames are blocked, each new link falls silent as well.
+const LONGEST_REDIAL: Duration = Duration::from_secs(60);
+const REDIAL: Backoff = Backoff::new(Duration::from_millis(10), LONGEST_REDIAL);
 
 /// The interval of attempts over UDP while the link to a neighbour is over TLS.
 const TRY_UDP: Duration = Duration::from_secs(10);
@@ -215,7 +220,7 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
 /// attempt after a link that did not last, as when the neighbour refuses it. Returns at once if
 /// there is no path.
 pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
-    let (mut retry, mut told) = (RETRY, HashMap::new());
+    let (mut retry, mut redial, mut told) = (RETRY, REDIAL, HashMap::new());
     let mut turns = ways.iter().cycle().peekable();
     while let Some(via) = turns.peek().copied() {
         let existing = daemon.core().switch.link_to(&switch);
@@ -231,6 +236,12 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
                             Err(reason) => format!("refused a link: {reason}"),
                         }
                     }
+                    link = dial_when_silent(daemon, port, &link, via, &mut redial), if !matches!(via, Via::Tls(_)) => {
+                        match links::take(daemon, link, via.clone()).await {
+                            Ok(()) => continue,
+                            Err(reason) => format!("refused a link: {reason}"),
+                        }
+                    }
                     reason = link.closed() => reason,
                 };
                 // The other side may have closed it because the one over UDP came.
@@ -239,6 +250,9 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
                 }
                 if up.elapsed() > LONGEST_DELAY {
                     retry.reset();
+                }
+                if up.elapsed() > 2 * LONGEST_REDIAL {
+                    redial.reset();
                 }
                 reason
             }
@@ -261,6 +275,24 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
         // Jitter keeps neighbours that start together from dialling in step.
         let random = crypto::random::<1>().map_or(0, |[byte]| byte);
         sleep(jittered(retry.next_delay(), random)).await;
+    }
+}
+
+/// Waits until the data plane at the other end of a link does not answer, and makes another link as
+/// soon as the switch can be reached. It may have lost its state, or have another MAC address,
+/// which QUIC notices after seconds. The silent link stays until then.
+async fn dial_when_silent(daemon: &Daemon, port: &Port, link: &Link, via: &Via, delay: &mut Backoff) -> Link {
+    let switch = link.peer().name;
+    loop {
+        liveness::until_silent(daemon, link).await;
+        sleep(delay.next_delay()).await;
+        if daemon.core().switch.answers(link) {
+            continue;
+        }
+        match dial(daemon, port, switch, via).await {
+            Ok(link) => return link,
+            Err(error) => tracing::debug!(switch = %format_args!("{switch:#}"), %error, "it does not answer either"),
+        }
     }
 }
 

@@ -169,6 +169,7 @@ pub fn links(daemon: &Daemon, core: &Core) -> Vec<LinkStatus> {
             traces_refused: state.traces.refused(),
             sent: core.switch.planes.frames_sent(id),
             carrier: core.switch.has_carrier(state.to),
+            answers: state.answers,
             plane: plane.into(),
         }
     };
@@ -230,6 +231,7 @@ fn links_in_grace(core: &Core) -> Vec<GraceLink> {
         role: link_role(link.entry.role),
         address: link.to.to_string(),
         id: link.entry.id,
+        answers: link.answers,
         errors_received: errors_received(core, link.entry.id),
     });
     status.collect()

@@ -5,6 +5,7 @@
 
 use super::peer_end::PeerEnd;
 use std::net::Ipv4Addr;
+use std::time::Duration;
 
 use gdp_wire::{Header, Name};
 use quinn::{Connection, RecvStream, SendStream};
@@ -61,6 +62,10 @@ struct Hello {
     frames_at: Option<[u8; 4]>,
     /// An endpoint's start in Unix nanoseconds. Two running programs with one key differ in it.
     run: Option<u64>,
+    /// The shortest interval between echoes that the sender accepts while QUIC is alive, in
+    /// milliseconds (compare Required Min Echo RX Interval, RFC 5880). Earlier releases do not
+    /// state it, and are sent none.
+    echo_ms: Option<u32>,
     /// The sender's credentials, if the sender is a member of a domain. The user of the link
     /// verifies them.
     #[serde(rename = "papers")]
@@ -84,6 +89,8 @@ pub struct HelloConfig {
     pub pair: CurrentPair,
     /// See `Hello::run`.
     pub run: Option<u64>,
+    /// See `Hello::echo_ms`.
+    pub echo_interval: Option<Duration>,
     pub credentials: CurrentCredentials,
     /// The versions that this side speaks.
     pub versions: Versions,
@@ -216,6 +223,7 @@ async fn say(
         host,
         frames_at: frames_at.map(|ip| ip.octets()),
         run: config.run,
+        echo_ms: config.echo_interval.and_then(|interval| interval.as_millis().try_into().ok()),
         credentials: config.credentials.get().map(|credentials| Credentials::clone(&credentials)),
     };
     streams::write_message(send, &control::encode(&hello)?).await
@@ -237,8 +245,10 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = gdp_core::name::derive(&proof.owner_key, &proof.digest);
-    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, run, credentials, .. } = hello;
-    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), run, credentials };
+    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, run, echo_ms, credentials, .. } = hello;
+    let (frames_at, echo_interval) =
+        (frames_at.map(Ipv4Addr::from), echo_ms.map(|millis| Duration::from_millis(millis.into())));
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at, run, echo_interval, credentials };
     Ok((Peer { name, proof, key, role, lane }, end))
 }
 

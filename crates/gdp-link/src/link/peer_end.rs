@@ -2,6 +2,7 @@
 
 use gdp_core::domain::Credentials;
 use std::net::Ipv4Addr;
+use std::time::Duration;
 
 /// The parameters that the peer announced for its end of the link.
 #[derive(Clone, Debug)]
@@ -12,5 +13,6 @@ pub struct PeerEnd {
     pub host: Option<u64>,
     pub frames_at: Option<Ipv4Addr>,
     pub run: Option<u64>,
+    pub echo_interval: Option<Duration>,
     pub credentials: Option<Credentials>,
 }

@@ -34,6 +34,9 @@ async fn both_sides_prove_their_names_and_share_keys() {
     assert_eq!(server.peer().role, Role::Endpoint);
     assert_eq!(server.addr(), LinkAddr::Udp(dialler.udp_addr().unwrap()));
 
+    let pace = Some(Pace::negotiated(liveness::MIN_INTERVAL));
+    assert_eq!((client.negotiated_pace(), server.negotiated_pace()), (pace, pace));
+
     let (at_client, at_server) = (client.entry(0), server.entry(0));
     assert_eq!((at_client.id, at_client.peer_id), (at_server.peer_id, at_server.id));
     for (from, to, other_way) in [(&at_client, &at_server, &at_client), (&at_server, &at_client, &at_server)] {

@@ -48,6 +48,8 @@ pub struct LinkStatus {
     /// Frames.
     pub sent: u64,
     pub carrier: bool,
+    /// The peer's data plane answers echoes. Frames avoid the link while it does not.
+    pub answers: bool,
     /// The data plane that sends on it: `kernel`, `dpdk` or `userspace`.
     pub plane: String,
 }
@@ -66,6 +68,8 @@ pub struct GraceLink {
     pub role: PeerRole,
     pub address: String,
     pub id: u32,
+    /// The peer's data plane answers echoes. Frames use the link only while it does.
+    pub answers: bool,
     /// Frames of this switch that the peer refused, by code.
     pub errors_received: Counts,
 }

@@ -11,6 +11,10 @@ pub const HOP: u32 = 200;
 /// Maximum cost of a link, equal to 1 s of round-trip time.
 pub const MOST: u32 = HOP + 100_000;
 
+/// Cost of a link that should carry frames only where no other path exists: it does not answer, or
+/// is suppressed (compare MaxLinkMetric, RFC 6987). Above that of any path of measured links.
+pub const AVOIDED: u32 = u32::MAX;
+
 /// Round-trip time that adds 1 to the cost.
 const STEP: Duration = Duration::from_micros(10);
 

@@ -6,12 +6,13 @@
 //!
 //! [`database`] holds the newest statement of each switch, and [`flooding`] tracks which neighbour
 //! lacks which. [`paths`] computes masks from statements, [`cost`] the cost of a link from its
-//! round-trip time.
+//! round-trip time. [`damping`] decides which links fail too often to be used.
 //!
 //! Every statement is verified before it is stored ([`Verified`]). A lying switch can only state
 //! links that it does not have, and an adjacency counts only if both ends state it.
 
 pub mod cost;
+pub mod damping;
 mod database;
 mod flooding;
 mod paths;
@@ -29,6 +30,7 @@ use gdp_proto::control::Flooded;
 use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 
+use cost::AVOIDED;
 use database::{Database, Taken};
 use flooding::Flooding;
 pub use flooding::{Batch, BatchId};
@@ -48,8 +50,8 @@ const MIN_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Intervals between two statements of this switch when its links change. The interval doubles with
 /// each change within twice its length. The first change after a quiet time is stated at once. A
-/// lost neighbour is always stated after the minimum, so a flapping link is stated as down rather
-/// than up.
+/// lost neighbour, and a link to avoid, are always stated after the minimum. So a flapping link is
+/// stated as down rather than up.
 const BACKOFF: Backoff = Backoff::new(MIN_INTERVAL, Duration::from_secs(5));
 
 /// Statement whose switch's signature is verified.
@@ -99,12 +101,13 @@ struct Stated {
 }
 
 impl Stated {
-    /// Returns whether a neighbour or border of `before` is missing, or a neighbour has become
-    /// silent.
+    /// Returns whether a neighbour or border of `before` is missing or to be avoided, or a
+    /// neighbour has become silent.
     fn lacks_one_of(&self, before: &Self) -> bool {
-        before.neighbours.keys().any(|near| !self.neighbours.contains_key(near))
+        let is_worse = |was: u32, is: Option<u32>| is.is_none_or(|is| is == AVOIDED && was != AVOIDED);
+        before.neighbours.iter().any(|(near, was)| is_worse(*was, self.neighbours.get(near).copied()))
             || !self.silent.is_subset(&before.silent)
-            || before.borders.keys().any(|border| !self.borders.contains_key(border))
+            || before.borders.iter().any(|(at, was)| is_worse(was.cost, self.borders.get(at).map(|border| border.cost)))
     }
 }
 

@@ -151,6 +151,33 @@ fn a_flapping_link_is_stated_less_and_less_often() {
 }
 
 #[test]
+fn a_link_that_one_end_avoids_is_left_by_all_and_used_only_where_there_is_no_other() {
+    let mut w = World::ring(5);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!(w.route(0, 2), [0, 1, 2]);
+    let (left, right) = (w.name(4), w.name(1));
+    let avoid = |w: &mut World, cost: u32| {
+        w.switches[0].topology.set_neighbours([(left, 1), (right, cost)]);
+        w.act(0);
+    };
+    // Also shortly after another statement, and again and again.
+    for _ in 0..20 {
+        avoid(&mut w, AVOIDED);
+        w.run_for(100 * MS);
+        assert_eq!((w.route(0, 2), w.route(2, 0)), (vec![0, 4, 3, 2], vec![2, 3, 4, 0]));
+        avoid(&mut w, 1);
+        w.run_for(50 * MS);
+    }
+    avoid(&mut w, AVOIDED);
+    w.run_for(100 * MS);
+    w.cut(0, 4);
+    w.switches[0].topology.set_neighbours([(right, AVOIDED)]);
+    w.act(0);
+    w.run_for(Duration::from_secs(1));
+    assert_eq!((w.route(0, 2), w.route(4, 0)), (vec![0, 1, 2], vec![4, 3, 2, 1, 0]));
+}
+
+#[test]
 fn what_no_switch_signed_is_refused() {
     let mut w = World::ring(3);
     w.run_for(Duration::from_secs(1));

@@ -200,7 +200,8 @@ fn links(before: Option<&StatusReply>, switch: &StatusReply, seconds: Option<f64
             real(of(|link| sum(&link.arrivals, |_| true)), 1.0),
             real(dropped, 1.0),
         ];
-        let tone = if dropped.is_some_and(|rate| rate > 0.0) || !link.carrier { Tone::Alert } else { Tone::Plain };
+        let is_lossy = dropped.is_some_and(|rate| rate > 0.0);
+        let tone = if is_lossy || !link.carrier || !link.answers { Tone::Alert } else { Tone::Plain };
         (tone, cells.iter().map(|cell| clean(cell)).collect())
     };
     Grid {

@@ -40,6 +40,9 @@ pub fn find(
     for link in status.links.iter().filter(|link| !link.carrier) {
         add(Severity::Down, format!("No carrier at {}, on the link to {}", link.via, called(link.peer)));
     }
+    for link in status.links.iter().filter(|link| link.carrier && !link.answers) {
+        add(Severity::Down, format!("No answer at {}, on the link to {}", link.via, called(link.peer)));
+    }
     for tier in status.tiers.iter().flatten().filter(|tier| matches!(tier.state, TierState::Lost | TierState::Refused))
     {
         let reason = tier.reason.as_deref().unwrap_or("no reason is known");

@@ -188,7 +188,7 @@ fn live_link(link: &LinkStatus, labels: &Labels) -> LinkLine {
     LinkLine {
         peer: labels.of(link.peer),
         role: link.role.as_str(),
-        state: if link.carrier { "up" } else { "down" },
+        state: if link.carrier && link.answers { "up" } else { "down" },
         via: text(&link.via),
         address: text(&link.address),
         plane: link.plane.clone(),
@@ -198,7 +198,11 @@ fn live_link(link: &LinkStatus, labels: &Labels) -> LinkLine {
         arrived: sum(false),
         dropped: sum(true),
         refused: link.errors_received.values().sum(),
-        reason: (!link.carrier).then(|| "no carrier".into()),
+        reason: match (link.carrier, link.answers) {
+            (false, _) => Some("no carrier".into()),
+            (true, false) => Some("no answer".into()),
+            (true, true) => None,
+        },
     }
 }
 

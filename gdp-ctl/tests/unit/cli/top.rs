@@ -34,7 +34,7 @@ fn switch(sent: u64, dropped: u64) -> Box<StatusReply> {
         "domain": null, "admitted_until": null, "via": "udp 192.0.2.1:31415", "address": "192.0.2.1:31415", "id": 1,
         "mtu": 1400, "key_generations": {"rx": 0, "tx": 0}, "cost": 1, "rtt_us": 23000, "age_s": 5,
         "errors_received": {}, "arrivals": {"forwarded": sent, "drop_no_route": dropped}, "traces_refused": 0,
-        "sent": sent, "carrier": true, "plane": "userspace"});
+        "sent": sent, "carrier": true, "answers": true, "plane": "userspace"});
     let status = json!({"name": name, "data_plane": "userspace", "data_plane_reason": "", "interfaces": [],
         "dpdk_processor_time_us": [], "udp": null, "links": [link], "links_in_grace": [],
         "handshakes": {"challenged": 0, "refused": 0, "displaced": 0, "failed": 0}, "refused": [], "refused_total": {},

@@ -37,17 +37,6 @@ fn a_doubtful_link_is_better_than_none() {
 }
 
 #[test]
-fn a_link_is_silent_until_it_answers_one_of_the_last_echoes() {
-    let mut pulse = Pulse::default();
-    assert!((1..100).all(|cookie| !pulse.beat(cookie - 1, cookie)));
-    let silent: Vec<bool> = (100..110).map(|cookie| pulse.beat(98, cookie)).collect();
-    assert_eq!(silent.iter().position(|silent| *silent), Some(MISSES - 1), "99 was open");
-    assert!(silent[MISSES..].iter().all(|silent| *silent));
-    assert!(pulse.beat(101, 110), "too old");
-    assert!(!pulse.beat(108, 111));
-}
-
-#[test]
 fn nothing_changes_without_reason() {
     let mut choice = Choice::default();
     assert!(choice.look(0, &[Up, Up]), "a second");

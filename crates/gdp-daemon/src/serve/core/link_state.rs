@@ -36,6 +36,8 @@ pub struct LinkState {
     pub inspections: Allowance,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
+    /// Whether the data plane at the other end answers echoes, as far as it is asked.
+    pub answers: bool,
 }
 
 impl LinkState {

@@ -107,9 +107,18 @@ impl Core {
         (lost, self.neighbours.adjacencies(&self.switch) != before)
     }
 
-    /// Samples the round-trip time to the neighbours. Returns whether the cost of one has changed.
+    /// Samples the round-trip time to the neighbours, and ends suppressions. Returns whether the
+    /// cost of one has changed.
     pub fn measure(&mut self) -> bool {
         self.neighbours.measure(self.clock.now().clock, &self.switch)
+    }
+
+    /// Records whether the data plane at the other end of a link to a switch answers echoes.
+    pub fn set_answering(&mut self, link: &Link, answers: bool) {
+        self.switch.set_answering(link.local_id(), answers);
+        if !answers {
+            self.neighbours.failed(self.clock.now().clock, link.peer().name);
+        }
     }
 
     /// Records the round-trip time of the first request over a link. Returns whether the
@@ -124,7 +133,7 @@ impl Core {
     pub fn follow_topology(&mut self) -> (Vec<(Link, Batch)>, bool) {
         let (now, own) = (self.now(), self.name());
         let Adjacencies { neighbours, silent, borders } = self.neighbours.adjacencies(&self.switch);
-        self.neighbours.forget_lost(&self.switch);
+        self.neighbours.forget_lost(now.clock, &self.switch);
         self.topology.set_neighbours(neighbours);
         self.topology.set_silent(silent);
         self.topology.set_borders(borders.into_values());

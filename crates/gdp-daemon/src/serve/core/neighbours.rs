@@ -6,7 +6,8 @@ use std::time::Duration;
 use gdp_core::cert::Adjoining;
 use gdp_core::peer::{Peer, Role};
 use gdp_link::link::Link;
-use gdp_rib::topology::cost::Meter;
+use gdp_rib::topology::cost::{AVOIDED, Meter};
+use gdp_rib::topology::damping::Damper;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use gdp_wire::{LinkRole, Name};
 
@@ -22,6 +23,8 @@ pub struct Neighbours {
     pub listed: Vec<Neighbour>,
     /// The cost meter of each neighbour. A configured cost takes precedence.
     meters: BTreeMap<Name, Meter>,
+    /// The failures of the link to each neighbour.
+    dampers: BTreeMap<Name, Damper>,
 }
 
 /// The adjacencies of a switch.
@@ -37,7 +40,7 @@ pub struct Adjacencies {
 
 impl Neighbours {
     pub fn new(listed: Vec<Neighbour>) -> Self {
-        Self { listed, meters: BTreeMap::new() }
+        Self { listed, meters: BTreeMap::new(), dampers: BTreeMap::new() }
     }
 
     pub fn get(&self, switch: &Name) -> Option<&Neighbour> {
@@ -72,22 +75,27 @@ impl Neighbours {
     pub fn adjacencies(&self, switch: &Switch) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
         let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
-        let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.relationship)));
-        let stale = switch.stale.iter().filter(|stale| switch.has_carrier(stale.to));
-        let stale = stale.map(|stale| (false, stale.entry.role, stale.peer, stale.relationship.as_ref()));
+        let live = live.map(|state| {
+            (Some(state.answers), state.role(), state.link.peer().name, Some(&state.admission.relationship))
+        });
+        let stale = switch.stale.iter().filter(|stale| stale.answers && switch.has_carrier(stale.to));
+        let stale = stale.map(|stale| (None, stale.entry.role, stale.peer, stale.relationship.as_ref()));
         let mut all = Adjacencies::default();
-        for (is_live, role, peer, relationship) in live.chain(stale) {
+        for (live, role, peer, relationship) in live.chain(stale) {
+            let cost = if live == Some(false) { AVOIDED } else { self.cost(&peer) };
             match relationship {
                 Some(Relationship::Border { domain, ours, theirs }) => {
-                    let (domain, cost) = (*domain, self.cost(&peer));
+                    let domain = *domain;
                     let (transit, ours_transit) = (theirs.transit, ours.transit);
                     let parent = self.parent_rank(&peer);
                     let border = Adjoining { domain, switch: peer, cost, transit, ours_transit, parent };
                     all.borders.insert((domain, peer), border);
                 }
                 _ if role == SWITCH => {
-                    let is_new = all.neighbours.insert(peer, self.cost(&peer)).is_none();
-                    if is_new && !is_live {
+                    // Of several links, the one that answers counts.
+                    let before = all.neighbours.get(&peer).copied();
+                    all.neighbours.insert(peer, before.map_or(cost, |before| before.min(cost)));
+                    if before.is_none() && live.is_none() {
                         all.silent.insert(peer);
                     }
                 }
@@ -97,8 +105,11 @@ impl Neighbours {
         all
     }
 
-    /// Returns the cost of a frame to a neighbouring switch.
+    /// Returns the cost of a frame to a neighbouring switch whose link answers.
     fn cost(&self, switch: &Name) -> u32 {
+        if self.dampers.get(switch).is_some_and(Damper::is_suppressed) {
+            return AVOIDED;
+        }
         let configured = self.get(switch).and_then(|neighbour| neighbour.cost);
         configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
     }
@@ -126,9 +137,22 @@ impl Neighbours {
         self.meters.get_mut(&link.peer().name).is_some_and(|meter| meter.answered(now, rtt))
     }
 
-    /// Samples the round-trip time to each neighbour. Returns whether the cost of one has changed.
+    /// Records that the link to a neighbour has become silent.
+    pub fn failed(&mut self, now: Duration, switch: Name) {
+        let damper = self.dampers.entry(switch).or_default();
+        let before = damper.is_suppressed();
+        damper.failed(now);
+        if damper.is_suppressed() && !before {
+            tracing::warn!(neighbour = %format_args!("{switch:#}"), "its link fails again and again; frames avoid it \
+                                                      until it has been steady for a while");
+        }
+    }
+
+    /// Samples the round-trip time to each neighbour, and ends suppressions. Returns whether the
+    /// cost of one has changed.
     pub fn measure(&mut self, now: Duration, switch: &Switch) -> bool {
-        let mut changed = false;
+        let ended = self.dampers.values_mut().filter_map(|damper| damper.follow(now).then_some(())).count();
+        let mut changed = ended > 0;
         for (neighbour, meter) in &mut self.meters {
             let newest = switch.newest_link(neighbour);
             if let Some(state) = newest.filter(|state| state.link.close_reason().is_none()) {
@@ -138,8 +162,10 @@ impl Neighbours {
         changed
     }
 
-    /// Drops the meters of neighbours without a link. A new link starts a new measurement.
-    pub fn forget_lost(&mut self, switch: &Switch) {
+    /// Drops the meters of neighbours without a link, and failures that are long ago. A new link
+    /// starts a new measurement.
+    pub fn forget_lost(&mut self, now: Duration, switch: &Switch) {
+        self.dampers.retain(|_, damper| !damper.is_clear(now));
         self.meters.retain(|neighbour, _| switch.has_first_lane(neighbour) || switch.stale.keeps(neighbour));
     }
 }

@@ -39,7 +39,7 @@ fn link(ids: &LinkIds, peer: u8, id: u32, until: Instant) -> StaleLink {
     let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
     let kept = Reservation::Adopted { _id: ids.reserve(id).unwrap() };
     let role = LinkRole::Switch;
-    StaleLink { peer: name(peer), lane: 0, role, entry, to, until, relationship: None, id: kept }
+    StaleLink { peer: name(peer), lane: 0, role, entry, to, until, answers: true, relationship: None, id: kept }
 }
 
 fn name(i: u8) -> Name {

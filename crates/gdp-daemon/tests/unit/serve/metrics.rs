@@ -50,6 +50,7 @@ fn link(peer: u16, id: u32, role: PeerRole, relationship: PeerRelationship) -> L
         traces_refused: 0,
         sent: 20,
         carrier: true,
+        answers: true,
         plane: "userspace".into(),
     }
 }

@@ -32,6 +32,7 @@ fn switch() -> Hello {
         host: None,
         frames_at: Some([169, 254, 1, 2]),
         run: None,
+        echo_ms: Some(40),
         credentials: None,
     }
 }

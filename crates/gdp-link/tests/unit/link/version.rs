@@ -7,6 +7,7 @@ use quinn::{ConnectionError, Endpoint};
 
 use super::*;
 use crate::link::LinkError;
+use crate::link::liveness::Pace;
 use crate::link::{HelloConfig, Link, LinkIds, LinkLocation, QuicConfigs, QuicMtu, RekeySchedule, SERVER_NAME};
 use crate::link::{greet_as_client, greet_as_server};
 use crate::port::CurrentPair;
@@ -33,6 +34,8 @@ async fn releases_next_to_each_other_take_the_newest_version_in_common() {
         assert_eq!(client.protocol, format!("gdp/{version}"));
         let (client, server) = (client.link.unwrap(), server.link.unwrap());
         assert_eq!((client.peer().role, server.peer().role), (Role::Switch, Role::Endpoint));
+        // These releases state no interval of echoes.
+        assert_eq!((client.negotiated_pace(), client.pace()), (None, Pace::UDP));
     }
 }
 
@@ -120,6 +123,7 @@ fn config(versions: Versions, role: Role) -> HelloConfig {
         host: None,
         pair: CurrentPair::default(),
         run: None,
+        echo_interval: None,
         credentials: Default::default(),
         versions,
         rekey: RekeySchedule::default(),

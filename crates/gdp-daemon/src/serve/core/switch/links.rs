@@ -53,7 +53,10 @@ impl Switch {
             address: to.to_string(),
         });
         let (since, traces, inspections) = (Instant::now(), Allowance::default(), inspections());
-        self.links.insert(id, LinkState { link: link.clone(), via, since, admission, traces, inspections, entry, to });
+        self.links.insert(
+            id,
+            LinkState { link: link.clone(), via, since, admission, traces, inspections, entry, to, answers: true },
+        );
         let changes = self.routes.link_up(role, peer, lane, id);
         self.apply(changes);
         Ok(replaced)
@@ -95,7 +98,7 @@ impl Switch {
         if self.peers.get(&(peer, lane)) == Some(&id) {
             self.peers.remove(&(peer, lane));
         }
-        let Some(LinkState { link, admission, entry, to, .. }) = self.links.remove(&id) else { return false };
+        let Some(LinkState { link, admission, entry, to, answers, .. }) = self.links.remove(&id) else { return false };
         let role = role_on(&link, &admission);
         let is_replaced = self.routes.is_replaced(role, &peer, id);
         let is_silent = !is_replaced && link.fell_silent() && self.routes.link_silent(role, &peer, id);
@@ -105,7 +108,8 @@ impl Switch {
         }
         let time = if is_replaced { GRACE } else { GRACEFUL_RESTART_TIME };
         let (until, id) = (Instant::now() + time, Reservation::Closed { link });
-        let stale = StaleLink { peer, lane, role, entry, to, until, relationship: Some(admission.relationship), id };
+        let stale =
+            StaleLink { peer, lane, role, entry, to, until, answers, relationship: Some(admission.relationship), id };
         if let Some(first) = self.stale.keep(stale) {
             self.release(first);
         }
@@ -115,6 +119,21 @@ impl Switch {
     /// Returns whether this link is stale and its peer has no other link on that lane.
     pub fn awaits(&self, link: &Link) -> bool {
         self.stale.contains(link.local_id()) && !self.peers.contains_key(&(link.peer().name, link.peer().lane))
+    }
+
+    /// Records whether the data plane at the other end of a link answers echoes.
+    pub fn set_answering(&mut self, id: u32, answers: bool) {
+        if let Some(state) = self.links.get_mut(&id) {
+            state.answers = answers;
+        } else if let Some(stale) = self.stale.get_mut(id) {
+            stale.answers = answers;
+        }
+    }
+
+    /// Returns whether the data plane at the other end of a live link answers echoes. A link that
+    /// is not live counts as if it did.
+    pub fn answers(&self, link: &Link) -> bool {
+        self.links.get(&link.local_id()).is_none_or(|state| state.answers)
     }
 
     /// Removes a stale link because it has expired, or because nothing forwards at its other end.

@@ -85,7 +85,7 @@ impl Switch {
             links.push((entry.clone(), role));
             let (peer, lane) = (entry.peer, entry.lane as u8);
             let (entry, relationship) = (entry.clone(), None);
-            self.stale.keep(StaleLink { peer, lane, role, entry, to: *to, until, relationship, id });
+            self.stale.keep(StaleLink { peer, lane, role, entry, to: *to, until, answers: true, relationship, id });
             match role {
                 LinkRole::Endpoint => drop(self.attached.insert(peer)),
                 LinkRole::Switch | LinkRole::Border => neighbours.push(peer),
