@@ -70,10 +70,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     if switch {
         daemon.topology_changed();
         daemon.report.notify_one();
-        daemon.spawn(say_ready(daemon.clone(), link.clone()));
-        if liveness::is_probed(&link) {
-            daemon.spawn(liveness::watch(daemon.clone(), link.clone()));
-        }
+        daemon.spawn(begin(daemon.clone(), link.clone()));
         daemon.spawn(serve_switch(daemon.clone(), link));
     } else {
         daemon.spawn(serve_endpoint(daemon.clone(), link));
@@ -114,13 +111,22 @@ async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
     link.keep_keys(|| daemon.core().switch.planes.frames_sent(id), put).await;
 }
 
+/// Begins to use a link to a neighbour. It is probed once the neighbour has it, because echoes on
+/// an unknown link would count there as drops.
+async fn begin(daemon: Arc<Daemon>, link: Link) {
+    say_ready(&daemon, &link).await;
+    if liveness::is_probed(&link) {
+        liveness::watch(daemon, link).await;
+    }
+}
+
 /// Tells a neighbour to send on this link instead of an earlier one. The time to its answer is the
 /// first round-trip sample of the link.
-async fn say_ready(daemon: Arc<Daemon>, link: Link) {
+async fn say_ready(daemon: &Daemon, link: &Link) {
     let asked = Instant::now();
     match link.request(&Request::Ready).await {
         Ok(_) => {
-            let changed = daemon.core().neighbour_answered(&link, asked.elapsed());
+            let changed = daemon.core().neighbour_answered(link, asked.elapsed());
             if changed {
                 daemon.topology_changed();
             }
