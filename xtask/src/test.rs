@@ -69,7 +69,9 @@ pub fn run(options: Options) -> Result<()> {
     build::ebpf()?;
     build::ebpf_rebuilt()?;
     if !options.root {
-        shell::say_and_run(tests(&options).args(["--workspace", "--no-fail-fast"]))?;
+        let mut command = tests(&options);
+        command.args(["--workspace", "--no-fail-fast", "--", "--test-threads", WAITING]);
+        shell::say_and_run(&mut command)?;
     }
     if options.no_root {
         return Ok(());
@@ -90,12 +92,15 @@ pub fn run(options: Options) -> Result<()> {
     }
     let skip: Vec<_> = WHOLE_MACHINE.iter().flat_map(|module| ["--skip", module]).collect();
     // Both run, so that one failure does not hide others.
-    let (in_pairs, alone) = (networks("2", &skip), networks("1", &WHOLE_MACHINE));
-    in_pairs.and(alone)
+    let (together, alone) = (networks(WAITING, &skip), networks("1", &WHOLE_MACHINE));
+    together.and(alone)
 }
 
+/// Number of tests at a time that mostly wait.
+const WAITING: &str = "3";
+
 /// Modules of tests that load both cores or measure a path. They run one at a time, so that a
-/// missed deadline is meaningful. The other tests mostly wait, for a fifth of a core.
+/// missed deadline is meaningful. The other tests mostly wait, and load a fifth of a core each.
 const WHOLE_MACHINE: [&str; 14] = [
     "dpdk::",
     "ecn::",
