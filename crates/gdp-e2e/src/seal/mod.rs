@@ -49,6 +49,9 @@ mod hostile_tests;
 #[path = "../../tests/unit/seal/property_tests.rs"]
 mod property_tests;
 #[cfg(test)]
+#[path = "../../tests/unit/seal/refused.rs"]
+mod refused;
+#[cfg(test)]
 #[path = "../../tests/unit/seal/session_tests.rs"]
 mod session_tests;
 #[cfg(test)]

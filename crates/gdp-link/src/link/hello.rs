@@ -229,19 +229,27 @@ async fn say(
     streams::write_message(send, &control::encode(&hello)?).await
 }
 
+impl Hello {
+    /// Returns an error if a field is out of bounds.
+    fn check(&self) -> Result<(), LinkError> {
+        if self.link_id == 0 {
+            return Err(LinkError::Protocol("0 is no link id".into()));
+        }
+        if usize::from(self.lane) >= MAX_LANES || (self.role == Role::Switch && self.lane != 0) {
+            return Err(LinkError::Protocol(format!("{} is no number of a link of {:?}", self.lane, self.role)));
+        }
+        if !(MIN_MTU..=MAX_MTU).contains(&self.mtu) {
+            return Err(LinkError::Protocol(format!("an MTU of {} bytes, not {MIN_MTU} to {MAX_MTU}", self.mtu)));
+        }
+        Ok(())
+    }
+}
+
 /// Reads the peer's hello, and returns the peer and its end of the link.
 async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, PeerEnd), LinkError> {
     let bytes = streams::read_message(recv, MAX_HELLO).await?;
     let hello: Hello = control::decode(&bytes)?;
-    if hello.link_id == 0 {
-        return Err(LinkError::Protocol("0 is no link id".into()));
-    }
-    if usize::from(hello.lane) >= MAX_LANES || (hello.role == Role::Switch && hello.lane != 0) {
-        return Err(LinkError::Protocol(format!("{} is no number of a link of {:?}", hello.lane, hello.role)));
-    }
-    if !(MIN_MTU..=MAX_MTU).contains(&hello.mtu) {
-        return Err(LinkError::Protocol(format!("an MTU of {} bytes, not {MIN_MTU} to {MAX_MTU}", hello.mtu)));
-    }
+    hello.check()?;
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = gdp_core::name::derive(&proof.owner_key, &proof.digest);

@@ -1,6 +1,6 @@
 //! Recomputes `docs/vectors/keys.json` and compares it with the published file.
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::*;
 use crate::feedback_wire::{Feedback, Missing, Wants};
@@ -57,6 +57,7 @@ fn vectors_of_keys_and_feedback() {
         echo_index: 3,
         delay_us: 250,
     };
+    let clock = |unix_ns| Feedback::Clock { name, session, challenge, unix_ns };
     let vectors = json!({
         "writer": entity(1, &writer),
         "reader": entity(2, &reader),
@@ -76,8 +77,80 @@ fn vectors_of_keys_and_feedback() {
             "report": payload(std::slice::from_ref(&report)),
             "nack": payload(&[Feedback::Nack { name, session, highest: 7, highest_index: 3, waited_us: 12_000, missing }]),
             "gone": payload(&[Feedback::Unavailable { name, session, oldest: 8 }]),
+            "clock": payload(&[clock(1_800_000_000_123_456_789)]),
+            "clock_answer": payload(&[Feedback::ClockAnswer { name, challenge, unix_ns: 1_800_003_600_123_456_789 }]),
             "two": payload(&[report, Feedback::Unavailable { name, session, oldest: 8 }]),
         },
+        "refused": { "plaintexts": refused_plaintexts(&clock(1)), "payloads": refused_payloads(&pair, &back, &clock(1)) },
     });
     crate::vectors::check("keys.json", &vectors);
+}
+
+/// Returns plaintexts of feedback that are no messages, with the reason.
+fn refused_plaintexts(clock: &Feedback) -> Vec<Value> {
+    let encoded = |feedback: &Feedback| {
+        let mut bytes = Vec::new();
+        feedback.encode(&mut bytes).unwrap();
+        bytes
+    };
+    let changed = |mut bytes: Vec<u8>, at: usize, byte: u8| {
+        bytes[at] = byte;
+        bytes
+    };
+    let (name, session) = (NAME, [0x33; 16]);
+    let hello = encoded(&Feedback::Hello { name, challenge: [0x44; 16], wants: Wants::Every });
+    let gone = encoded(&Feedback::Unavailable { name, session, oldest: 8 });
+    let missing = vec![Missing::whole(5), Missing::whole(6)];
+    let nack = Feedback::Nack { name, session, highest: 7, highest_index: 3, waited_us: 0, missing };
+    let nack = encoded(&nack);
+    let clock = encoded(clock);
+    let cases = [
+        ("a kind that does not exist", changed(hello.clone(), 0, 99)),
+        ("a Hello that wants what does not exist", changed(hello.clone(), hello.len() - 1, 3)),
+        ("a Hello that is a byte short", hello[..hello.len() - 1].to_vec()),
+        ("a message and a byte of the next", [&gone[..], &hello[..1]].concat()),
+        ("a sequence of 49 bits", changed(gone.clone(), gone.len() - 7, 1)),
+        ("a Nack whose second range is before its first", changed(nack.clone(), nack.len() - 11, 4)),
+        ("a Nack that ends within a range", nack[..nack.len() - 1].to_vec()),
+        ("a Clock that is a byte short", clock[..clock.len() - 1].to_vec()),
+    ];
+    let refused = cases.map(|(description, bytes)| {
+        let reason = Feedback::decode_all(&bytes).expect_err(description).to_string();
+        json!({ "description": description, "plaintext": hex::encode(&bytes), "refused": reason })
+    });
+    refused.to_vec()
+}
+
+/// Returns payloads that the writer's side refuses, with the reason. Each is the first of its
+/// session, but for the one that comes again.
+fn refused_payloads(from: &PairKey, to: &PairKey, clock: &Feedback) -> Vec<Value> {
+    let mut good = Vec::new();
+    from.sealer_in([0x56; 8]).unwrap().seal(std::slice::from_ref(clock), &mut good).unwrap();
+    let changed = |at: usize| {
+        let mut bytes = good.clone();
+        bytes[at] ^= 1;
+        vec![bytes]
+    };
+    let mut own = Vec::new();
+    to.sealer_in([0x57; 8]).unwrap().seal(std::slice::from_ref(clock), &mut own).unwrap();
+    let cases = [
+        ("another version", changed(0)),
+        ("another session", changed(1)),
+        ("another counter", changed(16)),
+        ("a changed byte of the ciphertext", changed(20)),
+        ("a changed tag", changed(good.len() - 1)),
+        ("a payload that ends within the tag", vec![good[..32].to_vec()]),
+        ("what the writer itself has sealed", vec![own]),
+        ("the same payload again", vec![good.clone(), good.clone()]),
+    ];
+    let refused = cases.map(|(description, payloads)| {
+        let mut opener = to.opener();
+        let results: Vec<_> = payloads.iter().map(|payload| opener.open(payload)).collect();
+        let (last, before) = results.split_last().unwrap();
+        assert!(before.iter().all(Result::is_ok), "{description}: {before:?}");
+        let reason = last.as_ref().expect_err(description).to_string();
+        let payloads = payloads.iter().map(hex::encode).collect::<Vec<_>>();
+        json!({ "description": description, "payloads": payloads, "refused": reason })
+    });
+    refused.to_vec()
 }

@@ -1,7 +1,8 @@
 //! The published test vectors of names and segments. Their signatures follow RFC 6979, so the
 //! vectors are the same in every run.
 
-use super::wire::{self, VERSION};
+use super::refused::{self, Composition};
+use super::wire::VERSION;
 use super::*;
 use crate::vectors::check;
 use gdp_core::crypto::{self, Backend};
@@ -98,14 +99,18 @@ fn vectors_of_segments() {
         writer.set_epoch(epoch, &EpochKey::from_bytes(epoch_key)).unwrap();
         writer
     };
+    let new_reader = |backend| {
+        let mut reader = Reader::new(name, backend, ReaderLimits::default());
+        reader.authorise(writer_name, key.verify_key()).unwrap();
+        reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
+        reader.confirm_session(&writer_name, session, 1).unwrap();
+        reader
+    };
     // Returns the output of readers with either back end.
     let read = |segments: &Segments| {
         let backends = Backend::ALL.iter().copied();
         let received = backends.map(|backend| {
-            let mut reader = Reader::new(name, backend, ReaderLimits::default());
-            reader.authorise(writer_name, key.verify_key()).unwrap();
-            reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
-            reader.confirm_session(&writer_name, session, 1).unwrap();
+            let mut reader = new_reader(backend);
             let mut received = Received::default();
             tests::push_into(&mut reader, writer_name, segments.iter(), &mut received);
             received
@@ -157,12 +162,22 @@ fn vectors_of_segments() {
         "timestamp_ns": timestamp.to_string(),
         "payloads": payloads(&segments),
     });
+    let refused = refused::cases().into_iter().map(|(description, reason, payloads)| {
+        for &backend in Backend::ALL {
+            let mut reader = new_reader(backend);
+            let mut push =
+                |payload: &Vec<u8>| reader.push(Timestamps::default(), writer_name, payload, &mut Received::default());
+            let results = payloads.iter().map(&mut push).collect::<Vec<_>>();
+            let expected = (1..payloads.len()).map(|_| Ok(())).chain([Err(reason)]);
+            assert_eq!(results, expected.collect::<Vec<_>>(), "{description}");
+        }
+        let payloads = payloads.iter().map(hex::encode).collect::<Vec<_>>();
+        json!({ "description": description, "refused": reason.label(), "payloads": payloads })
+    });
+    let refused = refused.collect::<Vec<_>>();
     let later = later_releases().map(|(description, refused, payload)| {
         for &backend in Backend::ALL {
-            let mut reader = Reader::new(name, backend, ReaderLimits::default());
-            reader.authorise(writer_name, key.verify_key()).unwrap();
-            reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
-            reader.confirm_session(&writer_name, session, 1).unwrap();
+            let mut reader = new_reader(backend);
             let mut received = Received::default();
             let result = reader.push(Timestamps::default(), writer_name, &payload, &mut received);
             assert_eq!(result.err(), refused, "{description}");
@@ -202,6 +217,7 @@ fn vectors_of_segments() {
             "cut_anew": cut_anew,
             "heartbeat": heartbeat,
             "later_releases": later,
+            "refused": refused,
         }),
     );
 }
@@ -211,42 +227,33 @@ fn later_releases() -> [(&'static str, Option<DropReason>, Vec<u8>); 6] {
     let skipped = [0x7f, 0xff, 0, 1, 9];
     let critical = [0x80, 1, 0, 1, 9];
     [
-        ("an unknown flag", None, compose(VERSION, 0x81, &[])),
-        ("an unknown extension that is not critical", None, compose(VERSION, 1, &skipped)),
-        ("an unknown extension that is critical", Some(DropReason::Unsupported), compose(VERSION, 1, &critical)),
-        ("an unknown kind of segments", Some(DropReason::Unsupported), compose(VERSION, 4, &[])),
-        ("the next version", Some(DropReason::OtherVersion), compose(VERSION + 1, 1, &[])),
-        ("the version before", Some(DropReason::OtherVersion), compose(VERSION - 1, 1, &[])),
+        ("an unknown flag", None, Composition { kind: 0x81, ..Default::default() }.payload()),
+        (
+            "an unknown extension that is not critical",
+            None,
+            Composition { extensions: &skipped, ..Default::default() }.payload(),
+        ),
+        (
+            "an unknown extension that is critical",
+            Some(DropReason::Unsupported),
+            Composition { extensions: &critical, ..Default::default() }.payload(),
+        ),
+        (
+            "an unknown kind of segments",
+            Some(DropReason::Unsupported),
+            Composition { kind: 4, ..Default::default() }.payload(),
+        ),
+        (
+            "the next version",
+            Some(DropReason::OtherVersion),
+            Composition { version: VERSION + 1, ..Default::default() }.payload(),
+        ),
+        (
+            "the version before",
+            Some(DropReason::OtherVersion),
+            Composition { version: VERSION - 1, ..Default::default() }.payload(),
+        ),
     ]
-}
-
-/// Composes the message "hello" of one segment as the document says, with these first two bytes.
-fn compose(version: u8, kind: u8, extensions: &[u8]) -> Vec<u8> {
-    let (name, writer) = (Name::from_bytes([0x11; 32]), Name::from_bytes([0x22; 32]));
-    let key = SigningKey::from_secret_bytes(&[1; 32]).unwrap();
-    let session = EpochKey::from_bytes([0x33; 32]).session_key(Backend::RustCrypto, &name, &writer, &[0x44; 16]);
-    let session = session.unwrap();
-    let length = (extensions.len() as u16).to_be_bytes();
-    let part = [&1_700_000_000_123_456_789u64.to_be_bytes()[..], &[0, 2], &length, extensions, b"hello"].concat();
-    let header = wire::SegmentHeader {
-        kind: wire::Kind::Last,
-        sealed_len: (part.len() + wire::proof_len(0) + 16) as u16,
-        index: 0,
-        sequence: 1,
-        cut: 0,
-        session: [0x44; 16],
-        count: 1,
-        size: part.len() as u32,
-        epoch: 1_700_000_000,
-    };
-    let digest = crypto::sha256(&[&part]);
-    let root = wire::leaf(&session.commitment, (&name, &writer), &header, &[digest]);
-    let signature = key.signer(Backend::RustCrypto).unwrap().sign(&wire::batch_statement(&root)).unwrap();
-    let mut sealed = [&part[..], &signature, &[0; 4]].concat();
-    let mut clear = header.to_bytes();
-    (clear[0], clear[1]) = (version, kind);
-    let tag = session.aead.seal(&header.nonce(), &clear, &mut sealed).unwrap();
-    [&clear[..], &sealed, &tag].concat()
 }
 
 fn map(entries: &[(&str, &str)]) -> Metadata {
