@@ -23,6 +23,8 @@ pub enum Purpose {
     Eval,
     /// Measure between own machines
     FieldReport,
+    /// Check what the tree depends on
+    Deny,
     /// Make packages, and check them
     Package,
     /// Make packages for an old glibc, and for arm64
@@ -48,6 +50,8 @@ pub enum SetupPart {
     Ebpf,
     /// Check formatting and lints.
     Lints,
+    /// Check licences and sources of dependencies.
+    Deny,
     /// List the tracked files, and use the tree as a repository.
     Git,
     /// Build networks of namespaces.
@@ -95,22 +99,23 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces,
+            Browser, Dds, Deny, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces,
             OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
-            Self::Unit => &[Workspace, Git, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
+            Self::Unit => &[Workspace, Git, Deny, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
             Self::Test => &[
-                Workspace, Git, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-                Browser,
+                Workspace, Git, Deny, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2,
+                Python, Browser,
             ],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
+            Self::Deny => &[Workspace, Git, Deny],
             Self::Package => &[Workspace, Ebpf, Packages],
             Self::Release => &[Workspace, Ebpf, Packages, Zig],
             Self::Arm64 => &[Workspace, Qemu],
@@ -120,6 +125,7 @@ impl Purpose {
             Self::Ci => &[
                 Workspace,
                 Git,
+                Deny,
                 Promtool,
                 Ebpf,
                 Lints,
