@@ -7,6 +7,14 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use crate::{shell, workspace};
 
+/// Returns the time of the current commit, in seconds since 1970.
+pub fn commit_time() -> Result<u64> {
+    let mut git = Program::Git.command();
+    git.args(["log", "-1", "--format=%ct"]).current_dir(workspace::root());
+    let time = shell::output(&mut git).context("`git log` failed")?;
+    time.parse().with_context(|| format!("`git log` wrote {time:?} as a time"))
+}
+
 /// Returns the files that Git tracks and that match `pattern`, relative to the workspace's root.
 /// Skips deleted files.
 pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
