@@ -20,6 +20,7 @@ mod pairings;
 mod peers;
 mod portable;
 mod reference;
+mod remap;
 mod run;
 mod setup;
 mod shell;

@@ -9,7 +9,7 @@ use gdp_tests::programs::{Executable as _, Program};
 use super::build::Build;
 use crate::setup::{self, Purpose, ZIG_ENVIRONMENT};
 use crate::workspace::{self, FEATURES, Profile};
-use crate::{build, shell};
+use crate::{build, remap, shell};
 
 /// The glibc that executables may need at most.
 const GLIBC: (u32, u32) = (2, 31);
@@ -47,7 +47,7 @@ pub fn executables(options: &Build) -> Result<Executables> {
         "--bin",
         "gdp-proxy",
     ]);
-    command.env("CARGO_ENCODED_RUSTFLAGS", flags(workspace::root(), &workspace::target(), &cargo_home()?));
+    command.env("CARGO_ENCODED_RUSTFLAGS", remap::flags()?);
     let own = workspace::target().join(ZIG_ENVIRONMENT).join("bin");
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::env::join_paths(std::iter::once(own).chain(std::env::split_paths(&paths)));
@@ -56,23 +56,6 @@ pub fn executables(options: &Build) -> Result<Executables> {
     let built = Executables::of(&workspace::target().join(target).join(profile.name()))?;
     ensure!(built.glibc <= GLIBC, "the executables may need glibc {}.{} at most", GLIBC.0, GLIBC.1);
     Ok(built)
-}
-
-/// Returns Cargo's folder of registries.
-fn cargo_home() -> Result<PathBuf> {
-    if let Some(home) = std::env::var_os("CARGO_HOME") {
-        return Ok(home.into());
-    }
-    Ok(std::env::home_dir().context("HOME is not set")?.join(".cargo"))
-}
-
-/// Returns rustc's flags, so that executables name no folder of this machine. Cargo separates them
-/// by the character 31. The flags replace those of the environment.
-fn flags(root: &Path, target: &Path, cargo_home: &Path) -> String {
-    // The last prefix that matches counts.
-    let folders = [(cargo_home, "/cargo"), (root, "/gdp"), (target, "/gdp/target")];
-    let flag = |(from, to): (&Path, &str)| format!("--remap-path-prefix={}={to}", from.display());
-    folders.map(flag).join("\u{1f}")
 }
 
 impl Executables {

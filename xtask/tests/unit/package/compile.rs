@@ -1,7 +1,5 @@
 //! Unit tests of `package::compile`.
 
-use gdp_tests::programs::own;
-
 use super::*;
 
 #[test]
@@ -24,16 +22,4 @@ fn an_executable_tells_the_glibc_that_it_needs() {
     assert_eq!(needed_glibc(&own).ok(), needs);
     assert!(needs.is_some_and(|needs| needs > (2, 0)), "{needs:?}");
     assert!(needed_glibc(Path::new("/etc/hostname")).is_err());
-}
-
-#[test]
-fn executables_name_no_folder_of_the_machine_that_compiles() {
-    let folder = tempfile::tempdir().unwrap();
-    let source = folder.path().join("main.rs");
-    std::fs::write(&source, "fn main() { println!(\"{}\", file!()) }").unwrap();
-    let program = folder.path().join("main");
-    let elsewhere = Path::new("/elsewhere");
-    let flags = flags(folder.path(), elsewhere, elsewhere);
-    shell::run(Program::Rustc.command().args(flags.split('\u{1f}')).arg("-o").arg(&program).arg(&source)).unwrap();
-    assert_eq!(shell::output(&mut own(&program)).as_deref(), Some("/gdp/main.rs"));
 }
