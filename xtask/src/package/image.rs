@@ -171,6 +171,7 @@ fn lay_out_base(arch: Arch, work: &Path, base: &Path) -> Result<()> {
     if arch == Arch::Arm64 {
         let libraries = base.join("lib/aarch64-linux-gnu");
         fs::create_dir_all(base.join("lib"))?;
+        fs::set_permissions(base.join("lib"), Permissions::from_mode(0o755))?;
         fs::rename(base.join("usr/aarch64-linux-gnu/lib"), &libraries)?;
         symlink("aarch64-linux-gnu/ld-linux-aarch64.so.1", base.join("lib/ld-linux-aarch64.so.1"))?;
     }
