@@ -85,6 +85,8 @@ programs! {
     Tc = "tc",
     Umount = "umount",
     Unshare = "unshare",
+    /// Started by tar.
+    Xz = "xz",
 }
 
 impl Program {

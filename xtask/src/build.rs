@@ -8,7 +8,7 @@ use gdp_tests::programs::{Executable as _, Program, own};
 
 use crate::setup::{self, EbpfCompiler, Purpose};
 use crate::workspace::{self, Profile};
-use crate::{debug_symbols, shell};
+use crate::{debug_symbols, remap, shell};
 
 #[path = "../../gdp-ebpf/fingerprint.rs"]
 mod fingerprint;
@@ -144,6 +144,8 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup run`") };
     // rustup's cargo, which accepts `+nightly`.
     let mut command = Program::Cargo.command();
+    let linker = format!("linker={}", linker.display());
+    let flags = ["-C", "target-cpu=v3", "-C", "debuginfo=2", "-C", "link-arg=--btf", "-C", &linker].join("\u{1f}");
     if compiler == EbpfCompiler::Nightly {
         command.arg("+nightly");
     }
@@ -151,9 +153,8 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
         .args([verb, "--release", "--target", "bpfel-unknown-none", "--target-dir"])
         .arg(workspace::target().join(into))
         .current_dir(workspace::root().join("gdp-ebpf"))
-        .env("RUSTFLAGS", format!("-C target-cpu=v3 -C debuginfo=2 -C link-arg=--btf -C linker={}", linker.display()))
-        .env_remove("RUSTUP_TOOLCHAIN")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS");
+        .env("CARGO_ENCODED_RUSTFLAGS", format!("{flags}\u{1f}{}", remap::flags()?))
+        .env_remove("RUSTUP_TOOLCHAIN");
     match compiler {
         EbpfCompiler::Debian => {
             // This is Debian's stable compiler. The crates use a few features that otherwise only

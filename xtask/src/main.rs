@@ -9,15 +9,18 @@ mod build;
 mod check;
 mod debug_symbols;
 mod demo;
+mod deny;
 mod eval;
 mod field_report;
 mod fresh;
 mod fuzz;
+mod git;
 mod package;
 mod pairings;
 mod peers;
 mod portable;
 mod reference;
+mod remap;
 mod run;
 mod setup;
 mod shell;
@@ -51,6 +54,8 @@ enum Verb {
     Demo(demo::Options),
     /// Check the rules of the source tree: import cycles, lengths, words, facade, links
     Check(check::Options),
+    /// Check licences, banned crates and sources of all dependencies
+    Deny(deny::Options),
     /// Build the documents as a book, in the folder `book`
     Book(book::Options),
     /// Write the pages and schemas of docs that are made from the code
@@ -81,6 +86,7 @@ fn main() -> ExitCode {
         Verb::Test(options) => test::run(options),
         Verb::Demo(options) => demo::run(options),
         Verb::Check(options) => check::run(options, &Cli::command()),
+        Verb::Deny(options) => deny::run(options),
         Verb::Book(options) => book::run(options),
         Verb::Reference(options) => reference::run(options),
         Verb::Pairings(options) => pairings::run(options),

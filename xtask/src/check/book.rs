@@ -7,7 +7,7 @@ use anyhow::Result;
 use gdp_tests::book::{Block, Document, commands, console, documents, file_of};
 use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 
-use super::sources::tracked;
+use crate::git::tracked;
 use crate::workspace;
 
 const SUMMARY: &str = "docs/SUMMARY.md";

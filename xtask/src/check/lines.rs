@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use syn::Item;
 
-use super::sources::{SourceFile, is_for_tests, tracked};
+use super::sources::{SourceFile, is_for_tests};
+use crate::git::tracked;
 use crate::workspace;
 
 const LONGEST_FILE: usize = 500;

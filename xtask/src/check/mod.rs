@@ -2,6 +2,7 @@
 //! seconds.
 
 mod book;
+mod cited_tests;
 mod dependencies;
 mod facade;
 mod imports;
@@ -52,6 +53,7 @@ pub fn run(options: Options, xtask: &clap::Command) -> Result<()> {
         Rule { name: "a page is not once in docs/SUMMARY.md, or README is too long", findings: book::pages()? },
         Rule { name: "a fenced block does not say what it is", findings: book::blocks()? },
         Rule { name: "a document's `cargo xtask` does not exist", findings: book::commands(xtask)? },
+        Rule { name: "a document names a test that does not exist", findings: cited_tests::missing()? },
         Rule { name: "a type name is defined more than three times", findings: names::repeated_types(&product) },
         Rule { name: "a word of the list that may not come back", findings: names::retired_words(&product) },
         Rule { name: "the facade shows more than 60 items", findings: facade::findings(&product) },

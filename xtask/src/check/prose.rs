@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use syn::{Attribute, Expr, Item, Lit, Meta, Visibility};
 
-use super::sources::{SourceFile, tracked};
+use super::sources::SourceFile;
+use crate::git::tracked;
 use crate::workspace;
 
 const MOST_WORDS: usize = 25;

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use gdp_tests::programs::{Executable as _, Program};
 use syn::{Attribute, File};
 
-use crate::{shell, workspace};
+use crate::git::tracked;
+use crate::workspace;
 
 /// One `.rs` file of the product, without its tests.
 pub struct SourceFile {
@@ -29,15 +29,6 @@ pub fn product() -> Result<Vec<SourceFile>> {
     }
     ensure!(!sources.is_empty(), "Git tracks no Rust file under {}", workspace::root().display());
     Ok(sources)
-}
-
-/// Returns the files that Git tracks and that match `pattern`, relative to the workspace's root.
-/// Skips deleted files.
-pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
-    let mut git = Program::Git.command();
-    git.args(["ls-files", pattern]).current_dir(workspace::root());
-    let listed = shell::output(&mut git).context("`git ls-files` failed")?;
-    Ok(listed.lines().map(PathBuf::from).filter(|path| workspace::root().join(path).is_file()).collect())
 }
 
 /// Returns whether a file is below a `src` folder or is a build script, and in no excluded folder.

@@ -9,7 +9,7 @@ use gdp_tests::programs::{Executable as _, Program};
 use super::build::Build;
 use crate::setup::{self, Purpose, ZIG_ENVIRONMENT};
 use crate::workspace::{self, FEATURES, Profile};
-use crate::{build, shell};
+use crate::{build, remap, shell};
 
 /// The glibc that executables may need at most.
 const GLIBC: (u32, u32) = (2, 31);
@@ -47,6 +47,7 @@ pub fn executables(options: &Build) -> Result<Executables> {
         "--bin",
         "gdp-proxy",
     ]);
+    command.env("CARGO_ENCODED_RUSTFLAGS", remap::flags()?);
     let own = workspace::target().join(ZIG_ENVIRONMENT).join("bin");
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::env::join_paths(std::iter::once(own).chain(std::env::split_paths(&paths)));

@@ -4,13 +4,13 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::build::packaging;
 use super::changelog::MAINTAINER;
-use super::stage::{Package, Staged};
+use super::stage::{Package, Staged, settle, walk};
 use crate::shell;
 
 const SCRIPTS: [&str; 4] = ["preinst", "postinst", "prerm", "postrm"];
@@ -33,7 +33,7 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
     let fields = format!(
         "{name}\nSource: gdp\nVersion: {version}\nArchitecture: {arch}\nMaintainer: {MAINTAINER}\nPriority: optional\n\
          Installed-Size: {}\n{}\n",
-        size(&package.tree)?.div_ceil(1024),
+        size(&package.tree)?,
         rest.replace("VERSION", &version).replace("GLIBC", &format!("{}.{}", staged.glibc.0, staged.glibc.1))
     );
     fs::write(control_folder.join("control"), fields)?;
@@ -60,11 +60,12 @@ fn write_one(staged: &Staged, package: &Package, control: &str) -> Result<PathBu
     let mut sums = Program::Md5sum.command();
     sums.args(installed).current_dir(&package.tree);
     fs::write(control_folder.join("md5sums"), execute(&mut sums)? + "\n")?;
-    open(&package.tree)?;
+    settle(&package.tree, staged.epoch)?;
     let deb = staged.folder.join(format!("{}_{version}_{arch}.deb", package.name));
     let mut dpkg = Program::DpkgDeb.command();
     dpkg.arg("--root-owner-group").args(if staged.is_checked { ["-Zgzip", "-z1"] } else { ["-Zxz", "-z6"] });
-    dpkg.arg("--build");
+    // dpkg-deb sorts what it packs. It takes this for the times of its own members.
+    dpkg.env("SOURCE_DATE_EPOCH", staged.epoch.to_string()).arg("--build");
     execute(dpkg.arg(&package.tree).arg(&deb))?;
     println!("{} ({:.1} MB)", deb.display(), deb.metadata()?.len() as f64 / 1e6);
     Ok(deb)
@@ -90,31 +91,16 @@ pub fn files(tree: &Path) -> Result<Vec<String>> {
     Ok(all)
 }
 
+/// Returns the size that files take, in KiB: each in whole ones. Folders differ by file system.
 fn size(tree: &Path) -> Result<u64> {
     let mut sum = 0;
     walk(tree, &mut |_, metadata| {
-        sum += metadata.len();
+        sum += if metadata.is_dir() { 0 } else { metadata.len().div_ceil(1024) };
         Ok(())
     })?;
     Ok(sum)
 }
 
-/// Gives folders and files the modes that Debian expects, whatever the umask was.
-fn open(tree: &Path) -> Result<()> {
-    walk(tree, &mut |path, metadata| {
-        let is_executable = metadata.is_dir() || metadata.permissions().mode() & 0o100 != 0;
-        Ok(fs::set_permissions(path, Permissions::from_mode(if is_executable { 0o755 } else { 0o644 }))?)
-    })
-}
-
-fn walk(path: &Path, visit: &mut impl FnMut(&Path, &fs::Metadata) -> Result<()>) -> Result<()> {
-    let metadata = path.symlink_metadata().with_context(|| format!("cannot read {}", path.display()))?;
-    visit(path, &metadata)?;
-    if metadata.is_dir() {
-        for entry in fs::read_dir(path)? {
-            walk(&entry?.path(), visit)?;
-        }
-    }
-    ensure!(!metadata.is_symlink(), "{} is a symbolic link, which a package needs no", path.display());
-    Ok(())
-}
+#[cfg(test)]
+#[path = "../../tests/unit/package/deb.rs"]
+mod tests;

@@ -1,9 +1,9 @@
 //! Writes an image of the OCI without a daemon: a layer with Debian's C library, and a layer with
 //! the programs. <https://specs.opencontainers.org/image-spec/>
 
-use std::fs::{self, File};
+use std::fs::{self, File, Permissions};
 use std::io::{self, BufReader};
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -14,7 +14,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::arch::Arch;
 use super::build::packaging;
-use super::stage::Staged;
+use super::stage::{Staged, settle};
 
 /// Debian packages of the lower layer. The programs need no others, and no shell. Those of arm64
 /// are for cross compilers, so that this machine's Debian has them.
@@ -53,6 +53,7 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
             execute(Program::Cp.command().arg("-r").arg(package.tree.join("usr")).arg(&programs))?;
         }
     }
+    settle(&programs, staged.epoch)?;
     // Manual pages and units are for people and systemd.
     for unused in ["usr/share/man", "usr/lib", "usr/share/lintian"] {
         let _ = fs::remove_dir_all(programs.join(unused));
@@ -60,6 +61,7 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     // The volume for keys gets its owner from the image.
     let own = work.join("own");
     fs::create_dir_all(own.join(KEYS))?;
+    settle(&own, staged.epoch)?;
     let layers =
         [layer(&base, ".", "0", &blobs)?, layer(&programs, ".", "0", &blobs)?, layer(&own, KEYS, "31415", &blobs)?];
     let config = json!({
@@ -97,8 +99,17 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
     fs::write(work.join("oci/oci-layout"), br#"{"imageLayoutVersion": "1.0.0"}"#)?;
     let compose = fs::read_to_string(packaging("compose.yaml"))?.replace(env!("CARGO_PKG_VERSION"), &staged.version);
     fs::write(staged.folder.join("compose.yaml"), compose)?;
+    settle(&work.join("oci"), staged.epoch)?;
     let file = staged.folder.join(format!("gdp-{}-{}.oci.tar", staged.version, staged.arch.debian()));
-    execute(Program::Tar.command().args(["--sort=name", "-cf"]).arg(&file).arg("-C").arg(work.join("oci")).arg("."))?;
+    execute(
+        Program::Tar
+            .command()
+            .args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "-cf"])
+            .arg(&file)
+            .arg("-C")
+            .arg(work.join("oci"))
+            .arg("."),
+    )?;
     fs::remove_dir_all(&work)?;
     println!("{} ({:.1} MB)", file.display(), file.metadata()?.len() as f64 / 1e6);
     Ok(file)
@@ -160,6 +171,7 @@ fn lay_out_base(arch: Arch, work: &Path, base: &Path) -> Result<()> {
     if arch == Arch::Arm64 {
         let libraries = base.join("lib/aarch64-linux-gnu");
         fs::create_dir_all(base.join("lib"))?;
+        fs::set_permissions(base.join("lib"), Permissions::from_mode(0o755))?;
         fs::rename(base.join("usr/aarch64-linux-gnu/lib"), &libraries)?;
         symlink("aarch64-linux-gnu/ld-linux-aarch64.so.1", base.join("lib/ld-linux-aarch64.so.1"))?;
     }
@@ -168,7 +180,9 @@ fn lay_out_base(arch: Arch, work: &Path, base: &Path) -> Result<()> {
     }
     for file in ["passwd", "group"] {
         let source = packaging("image").join(file);
-        fs::copy(&source, base.join("etc").join(file)).with_context(|| format!("cannot copy {}", source.display()))?;
+        let to = base.join("etc").join(file);
+        fs::copy(&source, &to).with_context(|| format!("cannot copy {}", source.display()))?;
+        fs::set_permissions(&to, Permissions::from_mode(0o644))?;
     }
     Ok(())
 }

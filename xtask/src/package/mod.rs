@@ -1,7 +1,8 @@
 //! `cargo xtask package`: Debian packages, a tar and an image of the OCI, for amd64 and arm64.
 //!
 //! [`compile`] makes the executables for an old glibc. [`stage`] lays out the files of each
-//! package, with [`manuals`]. [`deb`], [`tar`] and [`image`] write them into one file each.
+//! package, with [`manuals`] and bills of materials ([`sbom`]). [`deb`], [`tar`] and [`image`]
+//! write them into one file each. Equal executables make equal files.
 //! [`units`] checks the units. `try` installs the packages in a clean Debian root, `boot` in a
 //! virtual machine. `rolling-upgrade` upgrades switches one by one from another revision's package.
 
@@ -14,6 +15,7 @@ mod deb;
 mod image;
 mod manuals;
 mod previous;
+mod sbom;
 mod stage;
 mod tar;
 mod trial;

