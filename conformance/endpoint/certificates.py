@@ -203,6 +203,8 @@ def open_certificate(data, title: str, signer: bytes | None = None, now_ns: int 
     if not all(isinstance(part, bytes) for part in (protected, payload)) or not is_bytes(signature, 64):
         raise Refused("Malformed", "no COSE_Sign1")
     header = decode(protected)
+    if isinstance(header, dict) and header.get(3) == wanted.content_type.replace(".v2+", ".v1+") != wanted.content_type:
+        raise Refused("Unsupported", f"a {title} of the first format")
     if not isinstance(header, dict) or header.get(3) != wanted.content_type:
         raise Refused("Malformed", f"expected a {title}")
     public = load_public(header.get(4))

@@ -15,7 +15,8 @@ def check_revoked(certificate: Certificate, revocation: dict | None) -> None:
 
 def check_name(certificate: Certificate, name: bytes, field: str = "name") -> None:
     if certificate.claims[field] != name:
-        raise Refused("WrongName", f"the {certificate.kind} is of another name")
+        code = "WrongName" if field == "name" else "NotEntitled"
+        raise Refused(code, f"the {certificate.kind} is of another {field}")
 
 
 def exact(value, required: set[str], optional: set[str] = frozenset()) -> None:
@@ -37,7 +38,7 @@ def open_issued(issued: dict, title: str, name: bytes, owner: bytes, now_ns: int
     certificate = open_certificate(issued["cert"], title, signer, now_ns)
     check_name(certificate, name)
     if delegation and certificate.claims["serial"] < delegation.claims["serial"]:
-        raise Refused("Revoked", "issued before its delegation")
+        raise Refused("NotEntitled", "issued before its delegation")
     check_revoked(certificate, revoked)
     return certificate
 
@@ -74,9 +75,9 @@ def check_reader(
 def domain_keys(proof: dict, domain: bytes):
     """Returns a check whether a key may sign for the domain: its own, or its successor's."""
     if name_of(proof) != domain:
-        raise Refused("WrongName", "the proof is of another domain")
+        raise Refused("NotEntitled", "the proof is of another domain")
     if proof["digest"] in [metadata_digest({"kind": other}) for other in OTHER_KINDS]:
-        raise Refused("Malformed", "the name of another entity")
+        raise Refused("NotEntitled", "the name of another entity")
 
     def check(certificate: Certificate) -> None:
         successor = {"kind": "domain", "successor": certificate.signer.hex()}
@@ -116,7 +117,7 @@ def check_invited(certificate: Certificate, invite: Certificate, domain: bytes) 
     if claims["role"] != terms["role"]:
         raise Refused("NotEntitled", "another role than that of the Invite")
     if claims["serial"] < terms["serial"]:
-        raise Refused("Revoked", "issued before the Invite")
+        raise Refused("NotEntitled", "issued before the Invite")
     if claims["serial"] // 10**9 > terms["not_after"]:
         raise Refused("Expired", "issued after the end of the Invite")
     if claims["not_after"] > terms["member_until"]:
@@ -129,13 +130,13 @@ def check_renewal(renewal: dict, first: Certificate, basis: Certificate, by_doma
     by_domain(delegation)
     terms = delegation.claims
     if terms["member"] != basis.claims["serial"] or terms["domain"] != first.claims["domain"]:
-        raise Refused("WrongName", "the renewal of another membership")
+        raise Refused("NotEntitled", "the renewal of another membership")
     again = open_certificate(renewal["cert"], "MemberCert", terms["key"], now_ns)
     claims = again.claims
     if any(claims[field] != first.claims[field] for field in ("domain", "entity", "role")):
         raise Refused("WrongEntity", "the renewal differs from the first part")
     if claims["serial"] < terms["serial"]:
-        raise Refused("Revoked", "issued before its delegation")
+        raise Refused("NotEntitled", "issued before its delegation")
     if claims["not_after"] - claims["not_before"] > terms["lifetime"] + RENEWAL_GRACE_S:
         raise Refused("Malformed", "the renewal is longer than delegated")
     check_revoked(delegation, revoked)

@@ -114,7 +114,8 @@ class Receiver:
         if len(data) < HEADER or len(data) < HEADER + int.from_bytes(data[4:6]):
             raise Dropped("drop_truncated")
         header = data[:HEADER]
-        first, flags, hops, egress_set, length, words, reserved, link, low, tag, bits, to, source = LAYOUT.unpack(header)
+        first, flags, hops, egress_set, length, words, reserved, link, low, *rest = LAYOUT.unpack(header)
+        tag, bits, to, source = rest
         if words != WORDS:
             raise Dropped("drop_unknown")
         if link != self.link_id:

@@ -39,7 +39,7 @@ HELLO = {
 class LinkClosed(Exception):
     """The link has ended, with a code of the document and a text for people."""
 
-    def __init__(self, code: int, reason: str):
+    def __init__(self, code: int | None, reason: str):
         super().__init__(f"closed with code {code}: {reason}")
         self.code, self.reason = code, reason
 
@@ -61,6 +61,8 @@ class Link(asyncio.DatagramProtocol):
         self.own_id = secrets.randbelow(2**32 - 1) + 1
         self.run = time.time_ns()
         self.sent = 0
+        # Every data frame of so many is lost on purpose, in each direction; 0 for none.
+        self.lose, self.passed = 0, [0, 0]
         self.dropped: dict[str, int] = {}
         self.errors: dict[str, int] = {}
         self.echoes: dict[bytes, asyncio.Future] = {}
@@ -133,7 +135,8 @@ class Link(asyncio.DatagramProtocol):
         match event:
             case events.ProtocolNegotiated():
                 if event.alpn_protocol != SPOKEN:
-                    self.quic.close(VERSION, reason_phrase=f"{event.alpn_protocol} was chosen, this side speaks {SPOKEN}")
+                    reason = f"{event.alpn_protocol} was chosen, this side speaks {SPOKEN}"
+                    self.quic.close(VERSION, reason_phrase=reason)
             case events.HandshakeCompleted():
                 stream = self.quic.get_next_available_stream_id()
                 self.streams[stream] = bytearray()
@@ -143,7 +146,8 @@ class Link(asyncio.DatagramProtocol):
             case events.StreamReset() if event.stream_id in self.answers:
                 self.answers.pop(event.stream_id).set_exception(Refused("Unreachable", "the stream was reset"))
             case events.ConnectionTerminated():
-                self.end(LinkClosed(event.error_code, event.reason_phrase))
+                # Codes of the transport are no codes of the document.
+                self.end(LinkClosed(event.error_code if event.frame_type is None else None, event.reason_phrase))
 
     def hello(self) -> dict:
         return {
@@ -263,8 +267,14 @@ class Link(asyncio.DatagramProtocol):
         source = derive_name(compressed(self.key.public_key()), self.digest)
         self.send_frame(frames.Frame(frames.DATA, destination, source, payload, flags=frames.ECT0))
 
+    def is_lost(self, kind: int, direction: int) -> bool:
+        self.passed[direction] += kind == frames.DATA
+        return kind == frames.DATA and self.lose != 0 and self.passed[direction] % self.lose == 0
+
     def send_frame(self, sent: frames.Frame) -> None:
         self.sent += 1
+        if self.is_lost(sent.kind, 0):
+            return
         self.transport.sendto(sent.seal(self.send_key, self.peer_id, self.sent), self.address)
 
     def frame_received(self, data: bytes) -> None:
@@ -272,6 +282,8 @@ class Link(asyncio.DatagramProtocol):
             return
         try:
             received = self.receiver.open(data)
+            if self.is_lost(received.kind, 1):
+                return
             if received.kind == frames.DATA:
                 self.on_frame(received)
             elif received.kind == frames.ERROR:

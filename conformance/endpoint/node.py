@@ -137,8 +137,6 @@ class Endpoint:
             self.take_boxes(counterparts.name, peers["boxes"])
         for known in counterparts.known.values():
             self.channel(known)
-        async with self.changed:
-            self.changed.notify_all()
 
     async def store(self, boxes: list[bytes]) -> None:
         for box in boxes:

@@ -33,7 +33,7 @@ def verify_record(record: dict, role: str | None, revocation: dict | None) -> Co
         raise Refused("WrongEntity", "the statement is about another name, entity or switch")
     allowed = ("publish", "serve") if kind == "Writer" else ("subscribe", "call")
     if advert["op"] not in allowed or (role and advert["op"] != OPERATIONS[role]):
-        raise Refused("NotEntitled", f"the statement is to {advert['op']}")
+        raise Refused("Malformed", f"the statement is to {advert['op']}")
     return Counterpart(entity, record["entity"]["owner_key"], advert["box_key"])
 
 

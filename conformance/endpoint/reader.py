@@ -121,12 +121,12 @@ class Reader:
             return
         if head.sequence < session.begin:
             raise Refused("unconfirmed", "a message from before the welcome")
-        self.count(session, head, len(clear) + len(ciphertext), now)
         fresh = [head.sequence + i for i in range(head.count if head.kind == segments.BUNDLE else 1)]
         fresh = [sequence for sequence in fresh if session.window.admits(sequence)]
         if not fresh:
             session.twice_bytes += len(clear) + len(ciphertext)
             raise Refused("replayed", "a message that came before")
+        self.count(session, head, len(clear) + len(ciphertext), fresh, now)
         pending = session.pending.setdefault((head.sequence, head.cut), Pending(head, clear))
         if (pending.head.count, pending.head.size, pending.head.epoch) != (head.count, head.size, head.epoch):
             raise Refused("Malformed", "segments of one cut that differ")
@@ -150,10 +150,11 @@ class Reader:
             self.keys[place] = segments.SessionKeys(self.epochs[head.epoch][0], head.session, self.name, self.writer)
         return self.keys[place]
 
-    def count(self, session: Session, head: segments.Header, length: int, now: float) -> None:
-        session.arrived += 1
+    def count(self, session: Session, head: segments.Header, length: int, fresh: list[int], now: float) -> None:
+        # A bundle counts as a segment for each of its messages.
+        session.arrived += len(fresh)
         session.arrived_bytes += length
-        session.last = (head.sequence, head.index, now)
+        session.last = (fresh[-1], head.index, now)
         if self.unreported_since is None:
             self.unreported_since = now
 

@@ -190,10 +190,8 @@ def proofs(leaves: list[bytes], signing_key) -> list[bytes]:
     levels = tree(leaves)
     signature = sign(signing_key, b"gdp/batch/2" + levels[-1][0])
     depth = len(levels) - 1
-    return [
-        b"".join(levels[i][position >> i ^ 1] for i in range(depth)) + signature + struct.pack(">HBB", position, depth, 0)
-        for position in range(len(leaves))
-    ]
+    paths = [b"".join(levels[i][position >> i ^ 1] for i in range(depth)) for position in range(len(leaves))]
+    return [path + signature + struct.pack(">HBB", position, depth, 0) for position, path in enumerate(paths)]
 
 
 def split_proof(plain: bytes) -> tuple[bytes, bytes]:

@@ -5,10 +5,9 @@ import time
 
 from . import feedback
 from .certificates import issue
-from .encoding import is_bytes
 from .feedback import Feedback
 from .keys import wrap, wrap_info
-from .segments import HEADER, PROOF, Message, SessionKeys, draft_message, proofs, seal_heartbeat
+from .segments import Message, SessionKeys, draft_message, proofs, seal_heartbeat
 
 KEPT = 2048
 FRAME_HEADER = 96
@@ -108,12 +107,3 @@ class Writer:
         return seal_heartbeat(
             self.keys, self.epoch, self.beats, self.sequence + 1, self.oldest(), time.time_ns(), self.signing_key
         )
-
-
-def largest_body(room: int) -> int:
-    """Returns the bytes of a body that one frame carries."""
-    return room - FRAME_HEADER - HEADER - 16 - PROOF - 12
-
-
-def is_session(value) -> bool:
-    return is_bytes(value, 16)

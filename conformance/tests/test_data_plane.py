@@ -80,7 +80,8 @@ def test_link_keys(vectors):
 def sealed(vectors):
     """Returns the vectors, the keys of their session, and the writer's signing key."""
     file = vectors("segment")
-    session = segments.SessionKeys(*(bytes.fromhex(file[field]) for field in ("epoch_key", "session", "name", "writer")))
+    given = [bytes.fromhex(file[field]) for field in ("epoch_key", "session", "name", "writer")]
+    session = segments.SessionKeys(*given)
     assert session.key.hex() == file["session_key"] and session.commitment.hex() == file["commitment"]
     signing_key = private_key(bytes([1]) * 32)
     assert compressed(signing_key.public_key()).hex() == file["verify_key"]
