@@ -38,7 +38,6 @@ class Endpoint:
         self.early: list[tuple[float, Frame]] = []
         self.dropped: dict[str, int] = {}
         self.deliver: Callable[[bytes, bytes, int, Message], None] = lambda name, writer, sequence, message: None
-        self.changed = asyncio.Condition()
 
     async def dial(self, host: str, port: int) -> None:
         identity = (self.key, self.proof["digest"], self.frame_received, self.answer)

@@ -43,7 +43,10 @@ class Session:
     arrived_bytes: int = 0
     twice_bytes: int = 0
     marks: int = 0
+    # Sequence, index and arrival of a segment: the last one since the last report, and the one
+    # that was sent last.
     last: tuple[int, int, float] = (0, 0, 0.0)
+    furthest: tuple[int, int, float] = (0, 0, 0.0)
     beat: int = 0
     missing_since: float | None = None
 
@@ -155,6 +158,8 @@ class Reader:
         session.arrived += len(fresh)
         session.arrived_bytes += length
         session.last = (fresh[-1], head.index, now)
+        if session.last[:2] > session.furthest[:2]:
+            session.furthest = session.last
         if self.unreported_since is None:
             self.unreported_since = now
 
@@ -204,7 +209,7 @@ class Reader:
             return out
         if ranges := self.missing(now):
             self.nacked_at = now
-            sequence, index, at = self.session.last
+            sequence, index, at = self.session.furthest
             nack = (self.session_id, sequence, index, micros(now, at), ranges)
             out.append(Feedback(feedback.NACK, self.name, nack))
         since = self.unreported_since
@@ -215,7 +220,7 @@ class Reader:
 
     def report(self, now: float) -> tuple:
         s = self.session
-        sequence, index, at = s.last
+        (sequence, index, at), s.last = s.last, (0, 0, 0.0)
         return (
             self.session_id, s.highest, s.done, s.arrived, s.arrived_bytes, s.twice_bytes, s.marks, sequence, index,
             micros(now, at),

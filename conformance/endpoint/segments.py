@@ -278,9 +278,7 @@ def open_whole(keys: SessionKeys, head: Header, clear: bytes, plains: list[bytes
     last, proof = split_proof(plains[-1])
     parts = [*plains[:-1], last]
     lengths = [len(part) for part in parts]
-    if head.kind == BUNDLE:
-        exact = lengths == [head.size]
-    elif head.count == 1:
+    if head.kind == BUNDLE or head.count == 1:
         exact = lengths == [head.size]
     else:
         before_full = lengths[-2] == head.size or (lengths[-1] == 0 and 1 <= lengths[-2] <= head.size)
