@@ -53,14 +53,14 @@ class Cases:
         certificate = issue("RtCert", claims | changed, self.endpoint.key)
         await self.endpoint.entity_request({"Attach": {"rt_cert": certificate, "resumes": False, "lane": 0}})
 
-    async def own_name(self, issued_serial: int | None = None, **changed) -> None:
+    async def own_name(self, last_serial: int | None = None, **changed) -> None:
         """Advertises a name of which the stranger itself is the owner."""
         owner = self.endpoint.key
         proof = proof_of(compressed(owner.public_key()), {"kind": "topic", "nonce": "a"})
         changed.setdefault("name", name_of(proof))
         serial = self.endpoint.serial
-        if issued_serial is not None:
-            self.endpoint.serial = issued_serial
+        if last_serial is not None:
+            self.endpoint.serial = last_serial
         try:
             await self.endpoint.advertise(proof, self.issued(owner, **changed))
         finally:
@@ -91,7 +91,8 @@ class Cases:
             ("a right that begins later", "NotYetValid",
              lambda: self.own_name(not_before=now + 3600, not_after=now + 7200)),
             ("a right of the future", "NotYetValid", lambda: self.own_name(serial=(now + 3600) * NANOSECOND)),
-            ("a serial again", "ReplayedSerial", lambda: self.own_name(issued_serial=0)),
+            ("a right that holds", None, lambda: self.own_name()),
+            ("a serial again", "ReplayedSerial", lambda: self.own_name(self.endpoint.serial - 1)),
             ("a request of a later release", "Unsupported", lambda: self.raw({"Teleport": {"to": 7}})),
             ("a text that is no request", "Malformed", lambda: self.raw(7)),
             ("a request of switches", "Malformed", lambda: self.raw(
@@ -102,7 +103,7 @@ class Cases:
 class Greeting(Link):
     """A link whose hello differs from a valid one."""
 
-    changed: dict = {}
+    changed: dict
 
     def hello(self) -> dict:
         return super().hello() | self.changed
