@@ -82,6 +82,11 @@ impl Tools {
         existing(self.target.join("venv-sdk/bin/python"), "cargo xtask setup")
     }
 
+    /// Returns the path of the Python that runs the endpoint of `conformance/`.
+    pub fn python_of_conformance(&self) -> Result<PathBuf> {
+        existing(self.target.join("venv-conformance/bin/python"), "cargo xtask setup")
+    }
+
     /// Makes the package `gdp` for Python in a folder, as `pip` installs it.
     pub fn install_python_sdk(&self, folder: &Path) -> Result<()> {
         let package = folder.join("gdp");

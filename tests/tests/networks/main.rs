@@ -2,6 +2,7 @@
 //! because each would contain the whole daemon.
 
 mod churn;
+mod conformance;
 mod defaults;
 mod doctor;
 mod domain_keys;

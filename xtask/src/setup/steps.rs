@@ -351,6 +351,14 @@ pub const STEPS: &[SetupStep] = &[
         ..WHEELS
     },
     SetupStep {
+        part: SetupPart::Python,
+        what: "aioquic, cbor2, cryptography and pytest",
+        why: "the endpoint of `conformance/` has QUIC, CBOR and primitives from elsewhere, and no code of this project",
+        wheels: &["aioquic==1.7.2", "cbor2==6.3.0", "cryptography==50.0.2", "pytest==9.2.0"],
+        environment: "venv-conformance",
+        ..WHEELS
+    },
+    SetupStep {
         part: SetupPart::Zenoh,
         what: "cmake, libclang and openssl",
         why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C, and wants certificates",
