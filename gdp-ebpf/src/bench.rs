@@ -11,6 +11,7 @@
 mod bench_lookups;
 mod bench_names;
 mod fib;
+mod opaque;
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::helpers::bpf_ktime_get_ns;

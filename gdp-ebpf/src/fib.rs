@@ -9,6 +9,8 @@ use aya_ebpf::macros::btf_map;
 use gdp_wire::flat::{self, BUCKET};
 use gdp_wire::{FibEntry, Name};
 
+use crate::opaque::zero;
+
 /// Tables of different sizes require `BPF_F_INNER_MAP`.
 type Table = Array<[u64; BUCKET], 1, { (BPF_F_MMAPABLE | BPF_F_INNER_MAP) as usize }>;
 
@@ -17,7 +19,23 @@ static FIB: ArrayOfMaps<Table, 1> = ArrayOfMaps::new();
 
 #[inline(always)]
 pub fn route(name: &Name) -> Option<FibEntry> {
-    flat::lookup(&Memory(FIB.get(0)?), name)
+    let mut entry = flat::from_words([zero(); 3]);
+    (gdp_find_route(name, &mut entry) != 0).then_some(entry)
+}
+
+/// Writes the route of `name` to `entry`. Returns 0 if there is none.
+///
+/// This is a global function of the object, so the verifier checks it once, for any arguments. The
+/// many steps of a lookup would otherwise be checked again in every state that reaches them.
+#[unsafe(no_mangle)]
+#[inline(never)]
+pub extern "C" fn gdp_find_route(name: *const Name, entry: *mut FibEntry) -> u32 {
+    // SAFETY: the verifier ensures that each is null or has the size of its type, and the only
+    // caller that nothing else refers to `entry`.
+    let (Some(name), Some(entry)) = (unsafe { name.as_ref() }, unsafe { entry.as_mut() }) else { return 0 };
+    let Some(found) = FIB.get(0).and_then(|table| flat::lookup(&Memory(table), name)) else { return 0 };
+    *entry = found;
+    1
 }
 
 struct Memory(&'static Table);

@@ -28,11 +28,13 @@ mod local;
 mod losses;
 mod next_hop;
 mod next_hops;
+mod opaque;
 mod packet;
 mod permits;
 mod ports;
 mod tables;
 mod tally;
+mod verifier;
 mod windows;
 
 use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
@@ -148,15 +150,16 @@ fn act_at_egress(departure: Departure) -> u32 {
 
 #[inline(always)]
 fn handle(context: &XdpContext, length: usize) -> Outcome {
-    let mut packet = Packet::of(context);
+    let packet = Packet::of(context);
     if packet.get::<Ethernet>(0).is_none() {
         return Outcome::Dropped(Counter::Truncated);
     }
-    let Some(carried) = carrier::find(context, &packet, length, config::get().ethertype) else {
+    let Some(carried) = carrier::locate(context, &packet, length, config::get().ethertype) else {
         return Outcome::Passed(Counter::Foreign);
     };
+    let mut frame = packet.from(carried.at);
     // Padding may follow an empty datagram.
-    let Some(first_byte) = packet.get::<u8>(carried.at).filter(|_| carried.available > 0) else {
+    let Some(first_byte) = frame.get::<u8>(0).filter(|_| carried.available > 0) else {
         return Outcome::Dropped(Counter::Truncated);
     };
     // SAFETY: `get` checked the bounds.
@@ -165,7 +168,7 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
         return Outcome::Passed(Counter::Control);
     }
     match forward::classify(first_byte) {
-        Kind::Headed => match packet.header(carried.at) {
+        Kind::Headed => match frame.header(0) {
             Some(header) => forward_frame(context, header, carried, length),
             None => Outcome::Dropped(Counter::Truncated),
         },
@@ -191,7 +194,7 @@ fn forward_headed(
     length: usize,
 ) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
-    let tables = Maps { context, length: header.frame_len(), in_one_buffer };
+    let tables = Maps { context, length: header.frame_len(), unknown: tag, in_one_buffer };
     let traffic = carrier::traffic(&Packet::of(context), &carried);
     let verdict = forward::decide(header, carried.available, traffic, &tables);
     // An answer has no payload, so this is also the length of an answer.
@@ -251,7 +254,7 @@ fn copy(context: &XdpContext, header: &mut Header, slot: GroupSlot) -> Option<Co
     let link: &LinkEntry = groups::link_at(&slot).and_then(links::get)?;
     let ingress = links::get(header.link_id())?;
     let frame = header.frame_len();
-    let tables = Maps { context, length: frame, in_one_buffer: true };
+    let tables = Maps { context, length: frame, unknown: header.tag(), in_one_buffer: true };
     let counter = match forward::copy(header, frame, link, ingress, &tables) {
         Copy::Send(counter) => counter,
         Copy::None => return None,

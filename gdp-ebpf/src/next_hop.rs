@@ -10,6 +10,7 @@ use aya_ebpf::programs::XdpContext;
 use gdp_wire::packet::UDP;
 use gdp_wire::{Carrier, LinkEntry};
 
+use crate::opaque::zero;
 use crate::ports;
 
 /// The address families of a lookup, for IPv4 and for IPv6.
@@ -37,7 +38,8 @@ pub fn asks_at_egress() -> bool {
 }
 
 /// The egress interface of a frame, and the MAC addresses for it.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
+#[repr(C, align(8))]
 pub struct NextHop {
     /// The interface.
     pub port: u32,
@@ -45,6 +47,14 @@ pub struct NextHop {
     pub destination: [u16; 3],
     /// The interface's MAC address, under the same condition.
     pub source: [u16; 3],
+}
+
+impl Default for NextHop {
+    #[inline(always)]
+    fn default() -> Self {
+        // SAFETY: plain integers, for which any bytes are valid.
+        unsafe { core::mem::transmute([zero(); size_of::<Self>() / 8]) }
+    }
 }
 
 /// Words of the lookup structure.
@@ -58,9 +68,8 @@ const _: () = assert!(WORDS * size_of::<u64>() == size_of::<Lookup>() && align_o
 #[inline(never)]
 pub fn look_up(context: &XdpContext, link: &LinkEntry, length: usize, hop: &mut NextHop) -> bool {
     let carrier = &link.carrier;
-    // The verifier requires the whole structure to be written before it is read. With a zero known
-    // to the compiler, this becomes a call of a function that writes byte by byte.
-    let mut words = [core::hint::black_box(0u64); WORDS];
+    // The verifier requires the whole structure to be written before it is read.
+    let mut words = [zero(); WORDS];
     let lookup: *mut Lookup = words.as_mut_ptr().cast();
     // SAFETY: the function's own memory, with the size and alignment of the structure, for which
     // any bytes are valid. The helper writes within the size it is given. A MAC address is six

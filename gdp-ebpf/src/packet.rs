@@ -5,6 +5,8 @@ use aya_ebpf::helpers::{bpf_xdp_adjust_head, bpf_xdp_adjust_tail, bpf_xdp_get_bu
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Header;
 
+use crate::opaque::opaque;
+
 /// The part of a packet in its first buffer. Invalid after the length of the packet has changed.
 #[derive(Clone, Copy)]
 pub struct Packet {
@@ -17,6 +19,13 @@ impl Packet {
     #[inline(always)]
     pub fn of(context: &XdpContext) -> Self {
         Self { start: context.data(), end: context.data_end() }
+    }
+
+    /// Returns the packet from offset `at` on. The verifier need not know the offset, because all
+    /// accesses then use the same pointer, which the bounds checks apply to.
+    #[inline(always)]
+    pub fn from(&self, at: usize) -> Self {
+        Self { start: opaque(self.start + at), ..*self }
     }
 
     /// Returns a pointer to a `T` at offset `at`, if all of it is in the first buffer. `T` must

@@ -7,13 +7,15 @@ use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::next_hop::NextHop;
-use crate::{config, fib, groups, links, next_hop, next_hops, permits, windows};
+use crate::{config, fib, groups, links, next_hop, next_hops, permits, verifier, windows};
 
 /// The maps, for the lookups of one frame.
 pub struct Maps<'p> {
     pub context: &'p XdpContext,
     /// Bytes of the frame.
     pub length: usize,
+    /// A word of the packet. See [`verifier::join`].
+    pub unknown: u64,
     /// Whether the packet is in one buffer. The kernel copies no other packets.
     pub in_one_buffer: bool,
 }
@@ -21,6 +23,11 @@ pub struct Maps<'p> {
 impl Tables for Maps<'_> {
     /// The userspace plane follows this one.
     const LAST: bool = false;
+
+    #[inline(always)]
+    fn joined<V: Copy>(&self, value: V) -> V {
+        verifier::join(value, self.unknown)
+    }
 
     type NextHop = NextHop;
 

@@ -13,6 +13,8 @@ use gdp_wire::counter::{BUSIEST_NAMES, is_sampled};
 use gdp_wire::table::{MAX_LINKS, link_index};
 use gdp_wire::{Counter, Header, Name};
 
+use crate::opaque::opaque;
+
 #[map]
 static LINK_COUNTERS: PerCpuArray<[u64; Counter::COUNT]> = PerCpuArray::with_max_entries(MAX_LINKS, 0);
 
@@ -27,7 +29,10 @@ pub fn count_arrival(link: u32, counter: Counter) {
     }
     if let Some(row) = LINK_COUNTERS.get_ptr_mut(link_index(link)) {
         // SAFETY: this CPU's slot, which no other CPU writes.
-        unsafe { (*row)[counter as usize] += 1 }
+        let row = unsafe { &mut *row };
+        if let Some(count) = row.get_mut(opaque(counter as usize)) {
+            *count += 1;
+        }
     }
 }
 

@@ -9,6 +9,14 @@ pub trait Tables {
     /// Whether no other plane follows this one.
     const LAST: bool;
 
+    /// Returns `value`. Called where the many paths of a decision meet. Overridden by the plane
+    /// whose code is verified path by path, to have the rest verified once. `V` has at most 8
+    /// bytes, and no padding.
+    #[inline(always)]
+    fn joined<V: Copy>(&self, value: V) -> V {
+        value
+    }
+
     /// The next hop of a frame, as far as its link does not determine it.
     type NextHop: Copy + Default;
 

@@ -20,11 +20,28 @@ use gdp_wire::{Carrier, LinkEntry};
 
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
+use crate::verifier;
 
 /// Returns the frame in a packet of `length` bytes, or `None` if it carries none for this switch.
-/// `ethertype` is that of GDP frames, in host order.
+/// `ethertype` is that of GDP frames, in host order. The paths of all carriers join here.
 #[inline(always)]
-pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
+pub fn locate(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
+    /// Mask that bounds an offset for the verifier.
+    const OFFSETS: usize = 0x3f;
+    const { assert!(UDP6_LEN <= OFFSETS) };
+    let FrameLocation { at, available, over_udp } = find(context, packet, length, ethertype)?;
+    // SAFETY: `get` checked the bounds.
+    let unknown = unsafe { *packet.get::<u64>(0)? };
+    Some(FrameLocation {
+        at: verifier::join(at, unknown) & OFFSETS,
+        available: verifier::join(available, unknown),
+        over_udp: verifier::join(over_udp, unknown),
+    })
+}
+
+/// Returns the same as [`locate`], with an offset that depends on the path.
+#[inline(always)]
+fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
     if u32::from(found) == ethertype {
         return ethernet::find(length);

@@ -54,6 +54,7 @@ mod traffic;
 mod udp;
 mod udp_fabric;
 mod udp_runs;
+mod verifier;
 mod wire;
 
 // The tables of gdp-wire's tests, which `generated` uses, expect this path.

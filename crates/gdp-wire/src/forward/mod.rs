@@ -55,7 +55,7 @@ pub fn decide<'t, T: Tables>(
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
     };
-    let decision = classify_action(header, ingress, tables);
+    let decision = classify_action(header, ingress, tables).joined(tables);
     let mut hop = T::NextHop::default();
     // A frame for another plane stays unchanged. That plane shares the window, so it would refuse a
     // count recorded here.
@@ -105,6 +105,19 @@ struct Decision<'t> {
     set: u8,
     counter: Counter,
     refusal: Refusal,
+}
+
+impl Decision<'_> {
+    /// Applies [`Tables::joined`] to what the rest of the decision branches on.
+    #[inline(always)]
+    fn joined(self, tables: &impl Tables) -> Self {
+        let refusal = Refusal {
+            counter: tables.joined(self.refusal.counter),
+            code: tables.joined(self.refusal.code),
+            ..self.refusal
+        };
+        Self { what: tables.joined(self.what), counter: tables.joined(self.counter), refusal, ..self }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
