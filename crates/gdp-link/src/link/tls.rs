@@ -7,6 +7,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use quinn::congestion::CubicConfig;
 use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
 use quinn::{AckFrequencyConfig, ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
@@ -124,6 +125,11 @@ fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
     Ok(CertifiedKey::new(vec![shown], signer))
 }
 
+/// Bytes in flight before the first acknowledgement. Quinn counts probes of the MTU, up to 12 kB,
+/// and holds back the close of a link while they fill the window. A refused peer would then learn no
+/// reason.
+const INITIAL_WINDOW: u64 = 64 * 1024;
+
 /// Returns the transport parameters. Streams and windows limit a peer's data in this side's memory
 /// to about half a megabyte.
 fn transport(mtu: QuicMtu) -> TransportConfig {
@@ -132,7 +138,10 @@ fn transport(mtu: QuicMtu) -> TransportConfig {
     // An acknowledgement that waits for company would wake the thread once more.
     let mut acknowledgements = AckFrequencyConfig::default();
     acknowledgements.ack_eliciting_threshold(VarInt::from_u32(0));
+    let mut congestion = CubicConfig::default();
+    congestion.initial_window(INITIAL_WINDOW);
     transport
+        .congestion_controller_factory(Arc::new(congestion))
         .ack_frequency_config(Some(acknowledgements))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_TIMEOUT.as_millis() as u32))))
         .max_concurrent_bidi_streams(VarInt::from_u32(MAX_STREAMS))
