@@ -87,6 +87,8 @@ programs! {
     Unshare = "unshare",
     /// Started by tar.
     Xz = "xz",
+    /// Built by setup; possibly only in the folder of `cargo install`.
+    Verifpal = "verifpal",
 }
 
 impl Program {

@@ -15,6 +15,7 @@ mod field_report;
 mod fresh;
 mod fuzz;
 mod git;
+mod models;
 mod package;
 mod pairings;
 mod peers;
@@ -66,6 +67,8 @@ enum Verb {
     Package(package::Options),
     /// Fuzz the parsers of untrusted input
     Fuzz(fuzz::Options),
+    /// Check the models of the protocols with Verifpal, and that it finds the attacks it must find
+    Models(models::Options),
     /// Run proxies and a switch under churn and kills, and check what they use (needs root)
     Soak(soak::Options),
     /// Set up, build, start and test the project on a clean Debian 12 (needs root)
@@ -92,6 +95,7 @@ fn main() -> ExitCode {
         Verb::Pairings(options) => pairings::run(options),
         Verb::Package(options) => package::run(options),
         Verb::Fuzz(options) => fuzz::run(options),
+        Verb::Models(options) => models::run(options),
         Verb::Soak(options) => soak::run(options),
         Verb::Fresh(options) => fresh::run(options),
         Verb::Bench(options) => bench::run(options),

@@ -2,7 +2,7 @@
 //! without I/O and without a clock.
 //!
 //! [`rib`] answers the requests of entities, [`tiers`] exchanges records between domains,
-//! [`topology`] computes paths.
+//! [`topology`] computes paths. [`leadership`] selects one of several replicas.
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -10,6 +10,7 @@ pub mod crossing;
 pub mod deadlines;
 mod delta_sync;
 pub mod feed;
+pub mod leadership;
 pub mod rib;
 pub mod tiers;
 pub mod topology;

@@ -31,9 +31,18 @@ pub struct Options {
     /// Compile everything, without compiled files of an earlier run. Downloads remain cached
     #[arg(long)]
     cold: bool,
-    /// Exit as soon as the switch runs
-    #[arg(long)]
-    switch: bool,
+    /// End with this stage
+    #[arg(long, value_enum)]
+    until: Option<Milestone>,
+}
+
+/// A stage that a run may end with.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Milestone {
+    /// What `cargo xtask run` needs is installed
+    Setup,
+    /// The switch runs
+    Switch,
 }
 
 /// Timeout for building and starting the switch on a busy machine.
@@ -74,12 +83,15 @@ fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
         root.online(&cache, &["cargo", "fetch", "--manifest-path", "third_party/rustdds/published/Cargo.toml"])
     })?;
     stages.time("setup run", || root.online(&cache, &["cargo", "xtask", "setup", "run"]))?;
+    if options.until == Some(Milestone::Setup) {
+        return root.remove();
+    }
     let site = Site::new()?;
     let native = format!("XDP: native on {INTERFACE}");
     stages.time("run, to the ready line", || run_switch(&root, &cache, &site, &[], &native))?;
     let (named, on) = (["--", "--interface", INTERFACE], format!("links on Ethernet: on {INTERFACE}"));
     stages.time("run, with an interface", || run_switch(&root, &cache, &site, &named, &on))?;
-    if options.switch {
+    if options.until == Some(Milestone::Switch) {
         cache.complete()?;
         return root.remove();
     }

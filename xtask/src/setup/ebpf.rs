@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gdp_tests::programs::{Program, own};
 
-use crate::setup::paths::home;
+use crate::setup::paths::{home, installed_by_cargo};
 use crate::shell;
 
 /// A compiler for the eBPF target. Compiler and `bpf-linker` must have the same major version of
@@ -35,9 +35,7 @@ impl EbpfCompiler {
 
 /// Returns the path of `bpf-linker`, on `PATH` or in the folder of `cargo install`.
 pub fn bpf_linker() -> Option<PathBuf> {
-    Program::BpfLinker
-        .find()
-        .or_else(|| Some(home("CARGO_HOME", ".cargo").join("bin/bpf-linker")).filter(|file| file.is_file()))
+    installed_by_cargo(Program::BpfLinker)
 }
 
 pub fn bpf_linker_present() -> bool {

@@ -17,6 +17,7 @@ use clap::ValueEnum;
 use gdp_tests::programs::{Executable as _, Program};
 
 pub use self::ebpf::{EbpfCompiler, bpf_linker};
+pub use self::paths::installed_by_cargo;
 pub use self::steps::{DENY_ENVIRONMENT, EVAL_ENVIRONMENT, GENCPP, ZIG_ENVIRONMENT};
 use self::steps::{STEPS, SetupStep};
 use crate::{shell, workspace};

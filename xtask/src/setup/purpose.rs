@@ -37,6 +37,8 @@ pub enum Purpose {
     Boot,
     /// Test setup and build on a clean Debian root
     Fresh,
+    /// Check the models of the protocols
+    Models,
     /// Run `.ci/run`
     Ci,
 }
@@ -92,6 +94,8 @@ pub enum SetupPart {
     Qemu,
     /// Check for Windows and macOS.
     OtherSystems,
+    /// Check models of protocols.
+    Verifpal,
     /// Boot a virtual machine.
     Machine,
     /// Make a clean Debian root.
@@ -102,7 +106,7 @@ impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
             Archives, Browser, Dds, Deny, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine,
-            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Workspace, Zenoh, Zig,
+            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Verifpal, Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -126,6 +130,7 @@ impl Purpose {
             Self::Portable => &[Workspace, Lints, OtherSystems],
             Self::Boot => &[Workspace, Git, Ebpf, Archives, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
+            Self::Models => &[Verifpal],
             Self::Ci => &[
                 Workspace,
                 Git,
@@ -149,6 +154,7 @@ impl Purpose {
                 Packages,
                 Qemu,
                 OtherSystems,
+                Verifpal,
             ],
         }
     }

@@ -6,6 +6,7 @@ use std::path::Path;
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::ebpf::{EbpfCompiler, bpf_linker_present};
+use crate::setup::paths::installed_by_cargo;
 use crate::setup::purpose::SetupPart;
 use crate::{portable, shell, workspace};
 
@@ -176,6 +177,19 @@ pub const STEPS: &[SetupStep] = &[
             "rm -r \"$GDP_TARGET/promtool\"",
         ],
         elsewhere: "install promtool of Prometheus 2.42 or later",
+        ..NOTHING
+    },
+    SetupStep {
+        part: SetupPart::Verifpal,
+        what: "Verifpal 1.6.7",
+        why: "checks the models of the protocols; only its own code is optimised, as that is what takes time",
+        present: || installed_by_cargo(Program::Verifpal).is_some(),
+        commands: &[
+            // It states a newer compiler than it needs.
+            "cargo install verifpal --version 1.6.7 --locked --ignore-rust-version --config profile.release.lto=false \
+                   --config profile.release.codegen-units=16 --config 'profile.release.package.\"*\".opt-level=0'",
+        ],
+        elsewhere: "cargo install verifpal --version 1.6.7 --locked --ignore-rust-version",
         ..NOTHING
     },
     SetupStep {

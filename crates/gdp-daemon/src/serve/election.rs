@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
+use gdp_rib::leadership::lease::{MARGIN, TTL, end_of_lease};
 use gdp_rib::rib::{Item, Limits, RestoreError, Rib, RibRun, decode_item};
 use gdp_wire::Name;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
@@ -25,13 +26,6 @@ use super::term::{Term, within};
 use crate::domain::Used;
 use crate::store::client::EtcdClient;
 use crate::store::{StoreError, items::Copy, items::ItemChange, items::ItemWriter, items::KeySpace};
-
-/// The lifetime of a leader's lease, in seconds.
-const TTL: u64 = 5;
-
-/// How much earlier the leader's own timer ends than the lease. It covers clock drift and the
-/// leader's last messages in flight.
-const MARGIN: Duration = Duration::from_secs(1);
 
 /// The interval at which the leader renews its lease, and at which the others look for a leader.
 const BEAT: Duration = Duration::from_millis(800);
@@ -126,9 +120,9 @@ impl Elected {
         stands_with: &mut Option<i64>,
     ) -> Result<Option<Self>, StoreError> {
         let asked = Instant::now();
-        let lease = client.grant(TTL).await?;
+        let lease = client.grant(TTL.as_secs()).await?;
         *stands_with = Some(lease);
-        let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
+        let term = Arc::new(Term::new(end_of_lease(asked)));
         match keys.stand(client, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
@@ -154,7 +148,7 @@ impl Elected {
                     continue;
                 }
             }
-            if !self.term.extend(asked + Duration::from_secs(TTL) - MARGIN) {
+            if !self.term.extend(end_of_lease(asked)) {
                 return StoreError::Fenced;
             }
         }

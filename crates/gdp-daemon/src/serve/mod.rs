@@ -18,7 +18,6 @@ mod ends;
 mod entity_requests;
 pub mod events;
 mod federation;
-mod fence;
 mod flooding;
 mod graceful_restart;
 mod inspection;

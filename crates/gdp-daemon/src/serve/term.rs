@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_proto::control::{Refusal, RefusalCode};
+use gdp_rib::leadership::lease::Lease;
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep_until, timeout};
@@ -18,7 +19,7 @@ use crate::store::StoreError;
 const TIMEOUT: Duration = Duration::from_secs(4);
 
 pub struct Term {
-    ends: Mutex<Instant>,
+    lease: Mutex<Lease<Instant>>,
     /// The number of issued tickets.
     issued: AtomicU64,
     /// Whether a write to the store is pending.
@@ -44,17 +45,23 @@ pub struct Ticket {
 impl Term {
     pub fn new(ends: Instant) -> Self {
         let (issued, is_writing) = (0.into(), false.into());
-        Self { ends: Mutex::new(ends), issued, is_writing, wake: Notify::new(), progress: watch::Sender::default() }
+        Self {
+            lease: Mutex::new(Lease::new(ends)),
+            issued,
+            is_writing,
+            wake: Notify::new(),
+            progress: watch::Sender::default(),
+        }
     }
 
     pub fn is_over(&self) -> bool {
-        Instant::now() >= *self.ends.lock()
+        self.lease.lock().is_over(Instant::now())
     }
 
     /// Waits until the term is over, even if it is extended meanwhile.
     pub async fn over(&self) {
         while !self.is_over() {
-            let ends = *self.ends.lock();
+            let ends = self.lease.lock().ends();
             sleep_until(ends).await;
         }
     }
@@ -62,18 +69,13 @@ impl Term {
     /// Extends the term and returns true. Returns false if the term is already over, because other
     /// tasks may have acted on its end.
     pub fn extend(&self, to: Instant) -> bool {
-        let mut ends = self.ends.lock();
-        let lasts = Instant::now() < *ends;
-        if lasts {
-            *ends = to;
-        }
-        lasts
+        self.lease.lock().extend(Instant::now(), to)
     }
 
     /// Ends the term. The caller must issue no more tickets. Holders of tickets get `why` as the
     /// reason of the failure.
     pub fn end(&self, why: &str) {
-        *self.ends.lock() = Instant::now();
+        self.lease.lock().end(Instant::now());
         self.failed(u64::MAX, why);
     }
 

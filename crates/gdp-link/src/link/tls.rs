@@ -126,8 +126,8 @@ fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
 }
 
 /// Bytes in flight before the first acknowledgement. Quinn counts probes of the MTU, up to 12 kB,
-/// and holds back the close of a link while they fill the window. A refused peer would then learn no
-/// reason.
+/// and holds back the close of a link while they fill the window. A refused peer would then learn
+/// no reason.
 const INITIAL_WINDOW: u64 = 64 * 1024;
 
 /// Returns the transport parameters. Streams and windows limit a peer's data in this side's memory

@@ -14,9 +14,10 @@ use gdp_wire::table::EGRESS_SET_SIZE;
 /// frames.
 const MAX_SWITCHES: usize = 4 * EGRESS_SET_SIZE as usize;
 
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Database(BTreeMap<Name, StoredState>);
 
+#[derive(Clone, Debug)]
 struct StoredState {
     flooded: Flooded,
     claims: LinkState,

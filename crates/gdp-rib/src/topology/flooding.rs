@@ -32,19 +32,20 @@ pub struct Batch {
     pub states: Vec<Flooded>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BatchId {
     pub link: u32,
     number: u64,
 }
 
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Flooding {
     links: BTreeMap<u32, PendingAcks>,
     number: u64,
 }
 
 /// Flooding state of one neighbour.
+#[derive(Clone, Debug)]
 struct PendingAcks {
     owed: BTreeSet<Name>,
     /// Batches in flight, with the switches whose statements they hold.

@@ -55,6 +55,7 @@ const MIN_INTERVAL: Duration = Duration::from_millis(50);
 const BACKOFF: Backoff = Backoff::new(MIN_INTERVAL, Duration::from_secs(5));
 
 /// Statement whose switch's signature is verified.
+#[derive(Clone, Debug)]
 pub struct Verified {
     flooded: Flooded,
     claims: LinkState,
@@ -69,6 +70,9 @@ impl Verified {
 }
 
 /// This switch's view of the switches of its domain.
+///
+/// The debug output has all state except for signatures.
+#[derive(Clone, Debug)]
 pub struct Topology {
     own: Own,
     database: Database,
@@ -79,6 +83,7 @@ pub struct Topology {
 }
 
 /// Link state of this switch: what it has and what it stated.
+#[derive(Clone, Debug)]
 struct Own {
     identity: Identity,
     version: (u64, u64),
@@ -90,7 +95,7 @@ struct Own {
     backoff: Backoff,
 }
 
-#[derive(Clone, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Stated {
     bit: Option<u8>,
     neighbours: BTreeMap<Name, u32>,

@@ -6,11 +6,10 @@ use std::time::Duration;
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_link::link::Link;
 use gdp_proto::control::{Refusal, RefusalCode, Request};
+use gdp_rib::leadership::fence::Fence;
 use gdp_rib::tiers::peering::WantedPeerings;
 use gdp_wire::Name;
 use tokio::sync::watch;
-
-use crate::serve::fence::Fence;
 
 /// The state of this switch's report to the RIB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! Unit tests of `serve::fence`.
+//! Unit tests of `leadership::fence`.
 
 use super::*;
 

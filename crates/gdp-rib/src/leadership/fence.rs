@@ -1,6 +1,6 @@
 //! Selects the RIB run that this switch follows. Sans-IO.
 //!
-//! A later leader of several replicas has a higher run, made from its [term](super::term). A RIB
+//! A later leader of several replicas has a higher run, made from its term. A RIB
 //! that started later has a higher run too. The switch refuses messages of lower runs from the
 //! first message of a higher one.
 //!
@@ -26,7 +26,8 @@ pub struct Fenced {
     pub is_doubtful: bool,
 }
 
-#[derive(Debug, Default)]
+/// The RIB runs of which this switch accepts messages.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Fence {
     follows: Option<u64>,
     /// The run that accepted this switch's last report.
@@ -75,5 +76,5 @@ impl Fence {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/serve/fence.rs"]
+#[path = "../../tests/unit/leadership/fence.rs"]
 mod tests;
