@@ -7,6 +7,7 @@
 mod ebpf;
 mod paths;
 mod purpose;
+mod step;
 mod steps;
 
 pub use crate::setup::purpose::Purpose;
@@ -18,8 +19,9 @@ use gdp_tests::programs::{Executable as _, Program};
 
 pub use self::ebpf::{EbpfCompiler, bpf_linker};
 pub use self::paths::installed_by_cargo;
+use self::step::SetupStep;
+use self::steps::STEPS;
 pub use self::steps::{DENY_ENVIRONMENT, EVAL_ENVIRONMENT, GENCPP, ZIG_ENVIRONMENT};
-use self::steps::{STEPS, SetupStep};
 use crate::{shell, workspace};
 
 #[derive(clap::Args)]

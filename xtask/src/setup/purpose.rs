@@ -106,7 +106,8 @@ impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
             Archives, Browser, Dds, Deny, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine,
-            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Verifpal, Workspace, Zenoh, Zig,
+            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Verifpal, Workspace,
+            Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
