@@ -289,17 +289,16 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     let errors: Vec<_> = (0..=5).map(|code| forged(2, code)).collect();
     let echoes: Vec<_> = (0..=2).map(|kind| forged(4, kind)).collect();
     // Errors from before: a neighbour may send a greeting before a switch has its route.
-    let heard = || -> Result<_> {
+    let heard = || -> Result<Vec<Value>> {
         let status = scene.fabric.status(S2)?;
         let links = status["links"].as_array().context("links")?.clone();
-        let errors: Vec<_> = links.iter().map(|link| link["errors_received"].clone()).collect();
-        Ok((errors, status["counters"]["notice"].clone()))
+        Ok(links.iter().map(|link| link["errors_received"].clone()).collect())
     };
     let before = heard()?;
     scene.refused_by_s2("drop_bad_tag", &errors)?;
     scene.refused_by_s2("drop_bad_tag", &echoes)?;
+    // A frame has one counter. So what had a bad tag was neither answered nor taken for an answer.
     ensure!(heard()? == before, "{before:?}: {}", scene.fabric.status(S2)?);
-    ensure!(scene.fabric.status(S2)?["counters"]["echoed"] == 0, "{}", scene.fabric.status(S2)?);
     scene.only_honest_messages_arrived()?;
 
     // From an attacker with a link: an echo is answered once, and an endpoint may not send errors.
