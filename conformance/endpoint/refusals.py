@@ -14,7 +14,6 @@ from .link import Link, LinkClosed
 from .node import Endpoint
 
 NANOSECOND = 10**9
-DIALS = 4
 
 
 def stranger() -> Endpoint:
@@ -112,11 +111,7 @@ class Greeting(Link):
 async def closed_by(
     host: str, port: int, changed: dict, alpn: list[str] | None = None, endpoint: Endpoint | None = None
 ) -> int | None:
-    """Returns the code by which the switch closes a link with such a hello.
-
-    The packet with the code may be lost. The connection then ends by its idle timeout, and the next
-    one tells.
-    """
+    """Returns the code by which the switch closes a link with such a hello."""
     endpoint = endpoint or stranger()
 
     class Changed(Greeting):
@@ -126,17 +121,12 @@ async def closed_by(
             if alpn:
                 self.quic.configuration.alpn_protocols = alpn
 
-    code = None
-    for _ in range(DIALS):
-        try:
-            link = await Changed.dial(host, port, endpoint.key, endpoint.proof["digest"], lambda _: None, None)
-            async with asyncio.timeout(WITHIN_S):
-                code = (await link.closed).code
-        except LinkClosed as closed:
-            code = closed.code
-        if code is not None:
-            break
-    return code
+    try:
+        link = await Changed.dial(host, port, endpoint.key, endpoint.proof["digest"], lambda _: None, None)
+        async with asyncio.timeout(WITHIN_S):
+            return (await link.closed).code
+    except LinkClosed as closed:
+        return closed.code
 
 
 async def others(host: str, port: int) -> tuple[Endpoint, Endpoint, bytes]:

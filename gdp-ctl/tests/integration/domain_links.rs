@@ -16,7 +16,7 @@ use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_ctl::client::Client;
 use gdp_daemon::serve::Running;
-use gdp_link::link::LinkError;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_proto::admin::Request;
 use gdp_proto::control::{EntityRequest, Response};
 use gdp_wire::Name;
@@ -222,7 +222,7 @@ async fn what_cannot_be_kept_of_a_domain_is_not_said_to_be_done() {
     let robot = Identity::generate("proxy").unwrap();
     let membership = token.admit(robot.name(), 0, now() as u64 * 1_000_000_000).unwrap();
     let papers = || Some(Credentials { membership: membership.clone(), peers: vec![] });
-    let error = refusal(&robot, papers(), hub.addr).await;
+    let error = attach(&robot, papers(), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("taken in, but not kept") && error.contains("invitations"), "{error}");
     std::fs::remove_dir_all(&invitations).unwrap();
     attach(&robot, papers(), hub.addr).await.unwrap().close().await;
@@ -259,7 +259,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let node = attach(&robot, papers(&robot), mid.addr).await.unwrap();
     assert_eq!(link_of(&mid_running, robot.name()).await.unwrap()["relationship"], "member");
     node.close().await;
-    let error = refusal(&thief, papers(&thief), mid.addr).await;
+    let error = attach(&thief, papers(&thief), mid.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("has admitted"), "{error}");
 
     // The RIB and the switch both remember the invitation. Without the RIB, the admitted entity
@@ -279,6 +279,25 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     .await;
 }
 
+/// QUIC holds back the close of a link while probes of the MTU fill the congestion window. With the
+/// window of RFC 9002, one in ten was only reset on a busy machine.
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_is_refused_learns_why_each_time() {
+    let (home, hub) = (Domain::new(8), Place::new("hub"));
+    let mut settings = hub.member(&home, "rib", LONG).rib();
+    settings.0.domain.as_mut().unwrap().members_only = true;
+    let _running = settings.start().await;
+    for _ in 0..200 {
+        let stranger = PortConfig::endpoint(Identity::generate("proxy").unwrap());
+        let port = Port::udp("127.0.0.1:0".parse().unwrap(), &stranger).unwrap();
+        let why = match port.dial(LinkAddr::udp(hub.addr), None).await {
+            Ok(link) => link.closed().await,
+            Err(error) => error.to_string(),
+        };
+        assert!(why.contains("shows no membership"), "{why}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let (home, away) = (Domain::new(6), Domain::new(7));
@@ -290,7 +309,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
 
     // Attach without a membership.
     let stranger = Identity::generate("proxy").unwrap();
-    let error = refusal(&stranger, None, hub.addr).await;
+    let error = attach(&stranger, None, hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("shows no membership"), "{error}");
     attach(&stranger, None, open.addr).await.unwrap().close().await;
 
@@ -302,7 +321,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let node = attach(&robot, Some(papers(&home, LONG, &[])), hub.addr).await.unwrap();
     assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["relationship"], "member");
     node.close().await;
-    let error = refusal(&robot, Some(papers(&home, -5, &[])), hub.addr).await;
+    let error = attach(&robot, Some(papers(&home, -5, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("expired 20"), "{error}");
 
     // A visit to the hub. A robot attaches only to domains that its own domain knows, and only if
@@ -312,10 +331,10 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let node = attach(&robot, Some(visitor), hub.addr).await.unwrap();
     assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["relationship"], "visitor");
     node.close().await;
-    let error = refusal(&robot, Some(papers(&away, LONG, &[])), hub.addr).await;
+    let error = attach(&robot, Some(papers(&away, LONG, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("does not know"), "{error}");
     let knows_away = home.peer(&away, "peering", LONG);
-    let error = refusal(&robot, Some(papers(&home, LONG, &[&knows_away])), open.addr).await;
+    let error = attach(&robot, Some(papers(&home, LONG, &[&knows_away])), open.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("does not know"), "{error}");
 
     // The link ends with its credentials, and continues with renewed credentials.
@@ -416,20 +435,6 @@ async fn attach(identity: &Identity, papers: Option<Credentials>, to: SocketAddr
     let connect_timeout = Duration::from_secs(4);
     Node::connect(NodeConfig { credentials: papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) })
         .await
-}
-
-/// Returns why a switch refuses a node. On a busy machine QUIC may report only the stateless reset
-/// that follows the refusal (RFC 9000, section 10.3), also of each attempt of one node.
-async fn refusal(identity: &Identity, papers: Option<Credentials>, to: SocketAddr) -> String {
-    let reset = LinkError::Reset.to_string();
-    let mut error = String::new();
-    for _ in 0..5 {
-        error = attach(identity, papers.clone(), to).await.err().unwrap().to_string();
-        if !error.contains(&reset) {
-            break;
-        }
-    }
-    error
 }
 
 /// Log output of all daemons in this process.

@@ -257,9 +257,9 @@ impl Supervisor {
         Ok(attachment)
     }
 
-    /// Publishes why there is no link. A reset replaces no reason that the switch has told. On a
-    /// busy machine the stateless reset of a refused link (RFC 9000, section 10.3) may arrive
-    /// together with the refusal, and QUIC then reports only the reset.
+    /// Publishes why there is no link. A reset replaces no reason that the switch has told.
+    /// Switches of earlier releases at times reset a refused link, and give no reason
+    /// (`INITIAL_WINDOW` of gdp-link).
     fn still_lost(&mut self, error: &NodeError) {
         let is_reset = matches!(error, NodeError::Link(LinkError::Reset));
         if !(is_reset && self.reason_known) {

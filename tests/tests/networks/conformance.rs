@@ -7,19 +7,18 @@
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
-use gdp_tests::fabric::Mounted;
-use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::netns::execute;
 use gdp_tests::process::Process;
 use gdp_tests::programs::own;
 use gdp_tests::wait::{TIMEOUT, wait_for};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::inside::{Inside, ROOT};
+use crate::lone_switch::LoneSwitch;
 
 const COUNT: u64 = 1000;
 const SWITCH: &str = "10.9.0.1:31415";
@@ -62,7 +61,7 @@ fn a_switch_refuses_another_implementation_with_the_codes_of_the_document() -> R
 fn exchange(data_plane: &str, lose: u64) -> Result<()> {
     let site = Site::build(data_plane)?;
     let mut endpoint = site.endpoint("exchange", &[("--count", COUNT), ("--lose", lose)])?;
-    let inside = Inside::new(&site.host, ROOT)?;
+    let inside = Inside::new(&site.0.remote, ROOT)?;
     let keyring = site.path("rust");
     // The reasons of the endpoint in Python are those that tell most.
     let exchanged = inside.run(async move { tokio::time::timeout(2 * TIMEOUT, InRust::exchange(keyring)).await })?;
@@ -76,7 +75,7 @@ fn exchange(data_plane: &str, lose: u64) -> Result<()> {
     let done = endpoint.wait_event("done", TIMEOUT)?;
     ensure!(lose > 0 || done["drops"] == json!([{}, {}, {}]), "{done}");
     if data_plane == "xdp" {
-        let status = site.status()?;
+        let status = site.0.status()?;
         let delivered = |plane: &str| status["counters_by_plane"]["delivered"][plane].as_u64();
         // The SDK puts several messages into a frame.
         ensure!(delivered("kernel") > Some(COUNT), "{}", status["counters_by_plane"]);
@@ -146,42 +145,12 @@ fn conformance() -> PathBuf {
 }
 
 /// A switch, and a host with two endpoints that may publish and read each other's topic.
-struct Site {
-    daemon: Process,
-    _switch: Namespace,
-    host: Namespace,
-    tools: Tools,
-    _bpffs: Mounted,
-    folder: tempfile::TempDir,
-}
+struct Site(LoneSwitch);
 
 impl Site {
     fn build(data_plane: &str) -> Result<Self> {
-        let (switch, host) = (Namespace::create("switch")?, Namespace::create("host")?);
-        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 0, number] };
-        veth(&end(&switch, "l0", 1), &end(&host, "e0", 2), 1500)?;
-        switch.ip(&["addr", "add", "10.9.0.1/24", "dev", "l0"])?;
-        host.ip(&["addr", "add", "10.9.0.2/24", "dev", "e0"])?;
-        let folder = tempfile::Builder::new().prefix("gdp-conformance-").tempdir()?;
-        let bpffs = folder.path().join("bpf");
-        let config = json!({
-            "identity": folder.path().join("switch.pem"),
-            "socket": folder.path().join("switch.sock"),
-            "interfaces": ["l0"],
-            "udp": "0.0.0.0:31415",
-            "data_plane": data_plane,
-            "bpffs": bpffs,
-            "rib": true,
-        });
-        std::fs::write(folder.path().join("switch.yaml"), config.to_string())?;
-        let tools = Tools::beside_this_test()?;
-        let mut command = switch.command(tools.gdp_ctl()?)?;
-        command.args(["serve", "--config"]).arg(folder.path().join("switch.yaml"));
-        command.env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
-        let daemon = Process::spawn("switch", command, folder.path())?;
-        let mut site = Self { daemon, _switch: switch, host, tools, _bpffs: Mounted(bpffs), folder };
-        let ready = |daemon: &Process| daemon.stderr().contains("ready: switch ").then_some(());
-        site.daemon.wait_until("the daemon to take links", TIMEOUT, ready)?;
+        let site = Self(LoneSwitch::build(data_plane)?);
+        site.0.remote.ip(&["addr", "add", "10.9.0.2/24", "dev", "e0"])?;
         site.issue()?;
         Ok(site)
     }
@@ -210,30 +179,20 @@ impl Site {
 
     /// Starts the endpoint in Python.
     fn endpoint(&self, verb: &str, options: &[(&str, u64)]) -> Result<Process> {
-        let mut command = self.host.command(self.tools.python_of_conformance()?)?;
+        let mut command = self.0.remote.command(self.0.tools.python_of_conformance()?)?;
         command.args(["-B", "-m", "endpoint", verb, "--switch", SWITCH, "--folder"]).arg(self.path("python"));
         for (option, value) in options {
             command.arg(option).arg(value.to_string());
         }
         command.current_dir(conformance());
-        Process::spawn("endpoint", command, self.folder.path())
+        Process::spawn("endpoint", command, &self.path(""))
     }
 
     fn path(&self, file: &str) -> PathBuf {
-        self.folder.path().join(file)
-    }
-
-    fn status(&self) -> Result<Value> {
-        let mut command = self.gdp_ctl()?;
-        command.args(["status", "-j", "--socket"]).arg(self.path("switch.sock"));
-        Ok(serde_json::from_str(&execute(&mut command)?)?)
+        self.0.path(file)
     }
 
     fn ctl(&self, arguments: &[&str]) -> Result<String> {
-        execute(self.gdp_ctl()?.args(arguments))
-    }
-
-    fn gdp_ctl(&self) -> Result<Command> {
-        Ok(own(self.tools.gdp_ctl()?))
+        execute(own(self.0.tools.gdp_ctl()?).args(arguments))
     }
 }

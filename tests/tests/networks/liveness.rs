@@ -24,11 +24,7 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
     let mut fabric = fabric(FabricOptions { pinned: true, ..Default::default() })?;
     let mut conversation = converse(&fabric)?;
     wait_for_more(&mut conversation, 10)?;
-    fabric.switches[1].process.kill()?;
-    for neighbour in [0, 2] {
-        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
-            .with_context(|| fabric.report())?;
-    }
+    kill_s2(&mut fabric)?;
     // Far longer than a dead switch's link would stay up.
     let echoes = 2 * 5 * Pace::ETHERNET.misses as u64;
     let before = echoed(&fabric, 1)?;
@@ -56,11 +52,7 @@ fn a_link_that_is_held_survives_a_cable_that_fails_for_a_while() -> Result<()> {
     let mut fabric = fabric(FabricOptions { chain, depth: 10_000, pinned: true, ..Default::default() })?;
     let mut conversation = converse(&fabric)?;
     wait_for_more(&mut conversation, 10)?;
-    fabric.switches[1].process.kill()?;
-    for neighbour in [0, 2] {
-        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
-            .with_context(|| fabric.report())?;
-    }
+    kill_s2(&mut fabric)?;
     wait_for_more(&mut conversation, 10)?;
     for _ in 0..2 {
         fabric.chain.cut_wire(true)?;
@@ -109,6 +101,16 @@ fn fabric(options: FabricOptions) -> Result<Fabric> {
     let mut fabric = Fabric::start(Tools::beside_this_test()?, options)?;
     fabric.start_proxies()?;
     Ok(fabric)
+}
+
+/// Kills the daemon of s2, and waits until both neighbours hold their links to it.
+fn kill_s2(fabric: &mut Fabric) -> Result<()> {
+    fabric.switches[1].process.kill()?;
+    for neighbour in [0, 2] {
+        wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(fabric, neighbour, 1)?.map(drop)))
+            .with_context(|| fabric.report())?;
+    }
+    Ok(())
 }
 
 fn converse(fabric: &Fabric) -> Result<Conversation> {

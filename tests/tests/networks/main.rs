@@ -26,6 +26,7 @@ mod links;
 mod liveness;
 mod local_dds;
 mod logs;
+mod lone_switch;
 mod losses;
 mod malicious;
 mod onboarding;

@@ -6,8 +6,6 @@
 //!  next ─┘        └ lo ── daemon ──┘
 //! ```
 
-use std::fs;
-use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -16,15 +14,13 @@ use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
-use gdp_tests::Tools;
-use gdp_tests::fabric::Mounted;
-use gdp_tests::netns::{End, Namespace, execute, veth};
-use gdp_tests::process::Process;
-use gdp_tests::programs::{Program, own};
+use gdp_tests::netns::{Namespace, execute};
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{TIMEOUT, wait_for};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
+use crate::lone_switch::LoneSwitch;
 use crate::patient::patient;
 
 /// A user without privileges or files.
@@ -32,7 +28,7 @@ const NOBODY: libc::uid_t = 65534;
 
 #[test]
 fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
-    let site = Site::build("xdp")?;
+    let site = LoneSwitch::build("xdp")?;
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://10.9.0.1:31415")?;
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
@@ -67,7 +63,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
 /// Here the frames are for an interface that accepts no redirected frames.
 #[test]
 fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
-    let site = Site::build("xdp")?;
+    let site = LoneSwitch::build("xdp")?;
     execute(site.remote.command(Program::Ethtool)?.args(["-K", "e0", "gro", "off"]))?;
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
@@ -83,7 +79,7 @@ fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
 
 #[test]
 fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -> Result<()> {
-    let site = Site::build("xdp")?;
+    let site = LoneSwitch::build("xdp")?;
     let writer = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let readers = [
         Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?,
@@ -114,7 +110,7 @@ fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -
 
 #[test]
 fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() -> Result<()> {
-    let mut site = Site::build("xdp")?;
+    let mut site = LoneSwitch::build("xdp")?;
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let mut way = Way::open(&near, &next)?;
@@ -148,7 +144,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
 
 #[test]
 fn the_pair_goes_with_the_daemon_that_is_stopped_or_cleared_away() -> Result<()> {
-    let mut site = Site::build("xdp")?;
+    let mut site = LoneSwitch::build("xdp")?;
     ensure!(site.ends()?.len() == 2);
     site.daemon.stop(TIMEOUT)?;
     ensure!(site.ends()?.is_empty(), "a stop removes it");
@@ -164,7 +160,7 @@ fn the_pair_goes_with_the_daemon_that_is_stopped_or_cleared_away() -> Result<()>
 #[test]
 fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
     for plane in ["userspace", "xdp"] {
-        let site = Site::build(plane)?;
+        let site = LoneSwitch::build(plane)?;
         let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let mut way = Way::open(&near, &next)?;
@@ -187,7 +183,7 @@ fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
 /// Blocked as by a packet filter.
 #[test]
 fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
-    let site = Site::build("xdp")?;
+    let site = LoneSwitch::build("xdp")?;
     let neighbours: Value = serde_json::from_str(&site.host.ip(&["-j", "neigh", "show", "nud", "permanent"])?)?;
     let switch = neighbours[0]["dst"].as_str().context("the switch's address on the pair")?;
     site.host.ip(&["route", "replace", "blackhole", switch])?;
@@ -198,82 +194,6 @@ fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
     let links = site.status()?["links"].to_string();
     ensure!(links.matches("udp:127.0.0.1:").count() == 2, "{links}");
     Ok(())
-}
-
-/// A host whose daemon has everything that a fabric needs, and a second host.
-struct Site {
-    daemon: Process,
-    host: Namespace,
-    remote: Namespace,
-    tools: Tools,
-    _bpffs: Mounted,
-    folder: tempfile::TempDir,
-}
-
-impl Site {
-    fn build(data_plane: &str) -> Result<Self> {
-        let (host, remote) = (Namespace::create("host")?, Namespace::create("remote")?);
-        let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 0, number] };
-        veth(&end(&host, "l0", 1), &end(&remote, "e0", 2), 1500)?;
-        host.ip(&["addr", "add", "10.9.0.1/24", "dev", "l0"])?;
-        let folder = tempfile::Builder::new().prefix("gdp-same-host-").tempdir()?;
-        let bpffs = folder.path().join("bpf");
-        let config = json!({
-            "identity": folder.path().join("switch.pem"),
-            "socket": folder.path().join("switch.sock"),
-            "interfaces": ["l0"],
-            "udp": "0.0.0.0:31415",
-            "data_plane": data_plane,
-            "bpffs": bpffs,
-            "rib": true,
-        });
-        fs::write(folder.path().join("switch.yaml"), config.to_string())?;
-        let tools = Tools::beside_this_test()?;
-        let daemon = serve(&tools, &host, folder.path().to_owned())?;
-        let site = Self { daemon, host, remote, tools, _bpffs: Mounted(bpffs), folder };
-        site.wait_until_up()?;
-        Ok(site)
-    }
-
-    /// Starts another daemon after one has ended.
-    fn start(&mut self) -> Result<()> {
-        self.daemon = serve(&self.tools, &self.host, self.folder.path().to_owned())?;
-        self.wait_until_up()
-    }
-
-    fn wait_until_up(&self) -> Result<()> {
-        let up = || self.daemon.stderr().contains("ready: switch ");
-        wait_for("the daemon to take links", TIMEOUT, || Ok(up().then_some(()))).with_context(|| self.report())
-    }
-
-    fn status(&self) -> Result<Value> {
-        let mut command = own(self.tools.gdp_ctl()?);
-        command.args(["status", "-j", "--socket"]).arg(self.folder.path().join("switch.sock"));
-        Ok(serde_json::from_str(&execute(&mut command)?)?)
-    }
-
-    /// Returns the interfaces that are ends of a pair.
-    fn ends(&self) -> Result<Vec<String>> {
-        let links: Value = serde_json::from_str(&self.host.ip(&["-j", "link", "show"])?)?;
-        let names = links.as_array().into_iter().flatten().filter_map(|link| link["ifname"].as_str());
-        Ok(names.filter(|name| name.starts_with("gdp")).map(str::to_owned).collect())
-    }
-
-    fn bpffs(&self) -> PathBuf {
-        self.folder.path().join("bpf")
-    }
-
-    fn report(&self) -> String {
-        let shown = [["addr", "show"], ["neigh", "show"], ["route", "show"]].map(|show| self.host.ip(&show));
-        let status = self.status().map(|status| status.to_string());
-        format!("{}\n{status:?}\n{}", self.daemon.report(), shown.into_iter().flatten().collect::<String>())
-    }
-}
-
-fn serve(tools: &Tools, host: &Namespace, folder: PathBuf) -> Result<Process> {
-    let mut command = host.command(tools.gdp_ctl()?)?;
-    command.args(["serve", "--config"]).arg(folder.join("switch.yaml")).env("GDP_EBPF_OBJECT", tools.ebpf_object()?);
-    Process::spawn("switch", command, &folder)
 }
 
 /// A node in a namespace.

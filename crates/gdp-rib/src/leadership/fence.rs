@@ -1,8 +1,8 @@
 //! Selects the RIB run that this switch follows. Sans-IO.
 //!
-//! A later leader of several replicas has a higher run, made from its term. A RIB
-//! that started later has a higher run too. The switch refuses messages of lower runs from the
-//! first message of a higher one.
+//! A later leader of several replicas has a higher run, made from its term. A RIB that started
+//! later has a higher run too. The switch refuses messages of lower runs from the first message of
+//! a higher one.
 //!
 //! Runs may start again at a lower number: a clock went back, etcd was set up anew, or a single RIB
 //! became several replicas. A switch must not wait for a number that no RIB reaches. It therefore
