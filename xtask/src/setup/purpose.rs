@@ -90,6 +90,8 @@ pub enum SetupPart {
     Packages,
     /// Compile for an old glibc.
     Zig,
+    /// Compile for arm64.
+    StdArm64,
     /// Run programs of arm64.
     Qemu,
     /// Check for Windows and macOS.
@@ -106,8 +108,8 @@ impl Purpose {
     pub const fn parts(self) -> &'static [SetupPart] {
         use SetupPart::{
             Archives, Browser, Dds, Deny, Dpdk, Ebpf, Echo, Etcd, EtcdClient, Eval, Fresh, Git, Lints, Machine,
-            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, Verifpal, Workspace,
-            Zenoh, Zig,
+            Namespaces, OtherSystems, Packages, Promtool, Python, Qemu, Ros1, Ros2, Rosbags, StdArm64, Verifpal,
+            Workspace, Zenoh, Zig,
         };
         match self {
             Self::Run => &[Workspace, Ebpf],
@@ -126,8 +128,8 @@ impl Purpose {
             Self::FieldReport => &[Workspace, Ebpf, Namespaces, Echo],
             Self::Deny => &[Workspace, Git, Deny],
             Self::Package => &[Workspace, Git, Ebpf, Archives, Packages],
-            Self::Release => &[Workspace, Git, Ebpf, Archives, Packages, Zig],
-            Self::Arm64 => &[Workspace, Qemu],
+            Self::Release => &[Workspace, Git, Ebpf, Archives, Packages, Zig, StdArm64],
+            Self::Arm64 => &[Workspace, StdArm64, Qemu],
             Self::Portable => &[Workspace, Lints, OtherSystems],
             Self::Boot => &[Workspace, Git, Ebpf, Archives, Packages, Fresh, Machine],
             Self::Fresh => &[Fresh, Git, Namespaces],
@@ -153,6 +155,7 @@ impl Purpose {
                 Eval,
                 Fresh,
                 Packages,
+                StdArm64,
                 Qemu,
                 OtherSystems,
                 Verifpal,

@@ -379,9 +379,9 @@ pub const STEPS: &[SetupStep] = &[
         ..NOTHING
     },
     SetupStep {
-        part: SetupPart::Zig,
+        part: SetupPart::StdArm64,
         what: "Rust's standard library for arm64",
-        why: "packages are made for robots with ARM",
+        why: "packages and unit tests are compiled for robots with ARM",
         present: || has_target("aarch64-unknown-linux-gnu"),
         commands: &["rustup target add aarch64-unknown-linux-gnu"],
         elsewhere: "rustup target add aarch64-unknown-linux-gnu",
@@ -392,10 +392,8 @@ pub const STEPS: &[SetupStep] = &[
         what: "a C compiler for arm64 and qemu for its programs",
         why: "unit tests run as on a robot with ARM",
         programs: &[Program::CcArm64, Program::QemuArm64],
-        present: || has_target("aarch64-unknown-linux-gnu"),
         packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross", "qemu-user-static"],
-        commands: &["rustup target add aarch64-unknown-linux-gnu"],
-        elsewhere: "install a C compiler for aarch64, qemu-user and Rust's target aarch64-unknown-linux-gnu",
+        elsewhere: "install a C compiler for aarch64, and qemu-user",
         ..NOTHING
     },
     SetupStep {
